@@ -114,7 +114,7 @@ class Player:
         self._must_ask = must_ask
         self._is_open = self._was_open = is_open
         self._is_held = False
-        """Whether the show stands before its start until `run_from`."""
+        """Whether the show that is to begin stands before its start until `run_from`."""
         self._rate = 1.0
         """The rate that a person set; a fault may reduce it further."""
         self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
@@ -280,8 +280,10 @@ class Player:
 
         Also before the approach: then the show waits when it has come to its start.
         """
-        self._is_held, self._rate = True, 0.0
-        if self.show is not None and self.phase is Phase.SHOW:
+        self._rate = 0.0
+        if self.show is None:
+            self._is_held = True
+        elif self.phase is Phase.SHOW:
             self.show.hold_before_start(now_ns)
 
     def run_from(self, show_s: float, now_ns: int) -> None:
@@ -627,7 +629,8 @@ class Player:
         self._faults.clear()
         if self.show is None:
             self.show = self._session.begin(now_ns + COUNT_IN_NS, is_open=self._is_open)
-            if self._is_held:
+            if self._is_held and self._show_phase is Phase.SHOW:
+                self._is_held = False  # The next show of a stage is another one.
                 self.show.hold_before_start(now_ns)
         else:
             self._session.resume(self.show, now_ns)

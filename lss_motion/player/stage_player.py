@@ -44,6 +44,16 @@ LINE_RATIO: Final = 0.85
 fall together. Chosen: the rest is for queries, and for moves that wait for each other."""
 
 
+def why_not_beside(program: Program) -> str:
+    """Return what only a program can do that plays alone; empty if this one can be added.
+
+    A wait stops the show clock of the run, and the sounds are on one clock.
+    """
+    if program.waits:
+        return "waits for a sensor"
+    return "has sounds" if any(cue.sound for cue in program.cues) else ""
+
+
 class _Next(NamedTuple):
     """The program that takes the place of the present one; None: all joints hold."""
 
@@ -126,8 +136,11 @@ class StagePlayer(Player):
         """Return the show time of the present show; 0 before it has begun."""
         return 0.0 if self.show is None else self.show.show_s(now_ns)
 
-    def way_s(self, program: Program, show_s: float, now_ns: int) -> float:
-        """Return about how long the way to a show time of a program takes, without braking."""
+    def way_s(self, program: Program, show_s: float | None, now_ns: int) -> float:
+        """Return about how long the way to a show time of a program takes, without braking.
+
+        None: to its beginning.
+        """
         to_deg = self._session.start_of(program, show_s)
         return approach_s(self.robot, to_deg | self._pose_deg(now_ns), to_deg)
 
@@ -148,6 +161,7 @@ class StagePlayer(Player):
             raise InputError(f"no other show can begin now, the run is {self.phase.value}")
         self._note_stall(now_ns)
         self._next, self._seek_s = _Next(program, start_s), None
+        self._is_held = False
         joints = set() if program is None else set(program.start_deg)
         in_the_way = [one for one in self._added if one.joints & joints]
         for one in in_the_way:
@@ -315,8 +329,7 @@ class StagePlayer(Player):
                     f"show {program.name!r} cannot be added: show {other.name!r} moves its joint "
                     f"{shared[0]!r}; play it in place of that show, or after it"
                 )
-        if program.waits or any(cue.sound for cue in program.cues):
-            what = "waits for a sensor" if program.waits else "has sounds"
+        if what := why_not_beside(program):
             raise InputError(
                 f"show {program.name!r} cannot be added: it {what}, which only the show that plays "
                 f"alone can; play it in place of the other, or take that part out"

@@ -15,6 +15,9 @@ duty            why a figure rests, and how often it begins again after faults
 director        decides which show plays
 orders          what the director orders and notes
 running         couples the director and the player, one run after the other
+playing         what these runs keep: which shows play, what cues have done
+timecode        where the timecode is, and the show that follows it
+sending         timecode out, from the clock of the shows that play
 job             what the process of the player does for a stage, and its client
 log             what is kept of each night
 morning         what happened in a night, from the log

@@ -14,6 +14,7 @@ from lss_motion import shows
 from lss_motion.errors import InputError, LssMotionError, PlanningError
 from lss_motion.files.source import counted, duration_text, known_names
 from lss_motion.player.following import require_can_follow
+from lss_motion.player.stage_player import why_not_beside
 from lss_motion.stage.model import Kind
 
 if TYPE_CHECKING:
@@ -74,9 +75,25 @@ def plan_stage(
                 require_can_follow(planned[entry.name].program)
         except LssMotionError as error:
             errors.append((entry.line, entry.name, error))
+    if stage.idle is not None:  # Without it they play where nothing else does.
+        found = _alone(stage, planned)
+        errors += [(f.line, "", InputError(f.text, path=stage.path, line=f.line)) for f in found]
     if errors:
         raise _as_one(stage, errors)
     return Planned(stage=stage, shows=planned)
+
+
+def _alone(stage: Stage, planned: Mapping[str, Show]) -> Iterator[Finding]:
+    """Yield the cues that add a show which can only play alone."""
+    for cue in stage.cues:
+        for name in cue.shows if cue.start == "add" else ():
+            if name in planned and (what := why_not_beside(planned[name].program)):
+                text = (
+                    f"cue {cue.name!r} adds {name!r}, which {what}: a show that does so plays only "
+                    f"where no other one does; give the cue another start, such as terminate, or "
+                    f"take that out of the show"
+                )
+                yield Finding(cue.line, text)
 
 
 def following_shows(stage: Stage) -> set[str]:
@@ -156,8 +173,10 @@ def _endless(planned: Planned) -> Iterator[Finding]:
 
 
 def _never_added(planned: Planned) -> Iterator[Finding]:
-    """Yield shows that are to be added, but share a joint with the idle show or each other."""
+    """Yield shows that are to be added, but cannot be, or only where nothing else plays."""
     stage, idle = planned.stage, planned.stage.idle
+    if idle is None:
+        yield from _alone(stage, planned.shows)
     if idle is None or idle not in planned.shows:
         return
     moved = set(planned.shows[idle].program.start_deg)

@@ -27,7 +27,7 @@ from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import Cue, Kind, Signal, Trigger
 from lss_motion.stage.time_of_day import CronClock
-from lss_motion.stage.triggers import FREEWHEEL_S, TimecodeCues, Triggers
+from lss_motion.stage.triggers import FREEWHEEL_S, Bags, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -84,6 +84,8 @@ class Playing:
     is_rest: bool = False
     resumes: bool = False
     """It is resumed when what interrupted it is over."""
+    is_ready: bool = False
+    """It stands at its beginning, and waits for the timecode."""
 
     @property
     def priority(self) -> int:
@@ -97,43 +99,6 @@ class Waiting:
     show: str
     cue: Cue
     show_s: float | None = None
-
-
-class Bags:
-    """Which of several shows a cue plays: in turn, or at random without repeats.
-
-    For each cue the shows that are still to come before all have been played.
-    """
-
-    def __init__(self, random: Random) -> None:
-        self._random = random
-        self._coming: dict[str, list[str]] = {}
-
-    def next(self, cue: Cue) -> str:
-        """Return the show that the cue plays next; it stays the next one until it is taken."""
-        if len(cue.shows) == 1:
-            return cue.shows[0]
-        if not self._coming.get(cue.name):
-            self._coming[cue.name] = self._filled(cue, None)
-        return self._coming[cue.name][0]
-
-    def take(self, cue: Cue) -> None:
-        """Note that the next show is played."""
-        if len(cue.shows) == 1:
-            return
-        last = self._coming[cue.name].pop(0)
-        if not self._coming[cue.name]:
-            self._coming[cue.name] = self._filled(cue, last)
-
-    def _filled(self, cue: Cue, last: str | None) -> list[str]:
-        """Return all shows of a cue; a random order does not begin with `last`."""
-        shows = list(cue.shows)
-        if cue.choice == "random":
-            self._random.shuffle(shows)
-            if shows[0] == last:
-                other = self._random.randrange(1, len(shows))
-                shows[0], shows[other] = shows[other], shows[0]
-        return shows
 
 
 class Director:
@@ -205,7 +170,7 @@ class Director:
     def tick(self, now_ns: int, wall: datetime) -> None:
         """Do what is due."""
         self._now_ns = self._ticked_ns = now_ns
-        is_moving = self.main is not None or bool(self.added)
+        is_moving = bool(self.added) or (self.main is not None and not self.main.is_ready)
         self.duty.tick(now_ns, wall, self._cron.local(wall), is_moving=is_moving)
         self._note_rest()
         expressions, text = self._cron.due(wall)
@@ -224,11 +189,44 @@ class Director:
             self._by_timecode(cue, start_s)
 
     def _by_timecode(self, cue: Cue, start_s: float | None) -> None:
-        main = self.main
+        main, signal = self.main, Signal(kind=Kind.TIMECODE, address=cue.on.address)
+        if main is not None and main.cue is cue and main.is_ready:
+            main.is_ready = False
+            main.since_ns = self._now_ns
+            self._until_ns[cue.name] = None
+            self._note_fired(cue, signal, f"plays {main.show}, in step")
+            self._note_fire(cue)
+            return
+        if main is not None and main.is_ready:
+            self.leave(main.number, self._now_ns)
         if start_s is not None and main is not None and main.cue is cue:
             return  # It follows the jump itself.
-        self._fire(cue, Signal(kind=Kind.TIMECODE, address=cue.on.address), start_s)
+        self._fire(cue, signal, start_s)
         self._settle()
+
+    def get_ready(self, cue: Cue, now_ns: int) -> None:
+        """Let the show of a cue, as of `coming`, wait at its beginning for the timecode."""
+        self._now_ns, show = now_ns, cue.shows[0]
+        self._orders.append(orders.Noted(f"waits at the beginning of {show} (cue {cue.name})"))
+        self._play(show, cue, waits=True)
+
+    def coming(self, now_ns: int) -> tuple[Cue, float] | None:
+        """Return the cue whose show follows the timecode next, and the seconds up to it.
+
+        None: there is none, or another cue plays. 0 s: it is to wait, since there is no timecode.
+        """
+        is_free = self.main is None or self.main.cue is None
+        if not is_free or self.added or self.queue or self.left or not self.is_connected:
+            return None
+        found = self.timecode.coming(now_ns)
+        if found is None and not self.timecode.has_position:
+            armed = self.stage.cue(self.armed or "")
+            ready = (cue for cue in self.stage.cues if cue.is_ready)
+            cue = armed if armed is not None and armed.can_wait else next(ready, None)
+            found = None if cue is None else (cue, 0.0)
+        if found is None or found[0].shows[0] not in self.shows or self._refusal(found[0]):
+            return None
+        return found
 
     # ---- signals and operators
 
@@ -280,6 +278,17 @@ class Director:
             self._leave_all()
             self._orders.append(orders.Stop())
             self._settle()
+
+    def is_ready(self, number: int) -> bool:
+        """Return whether the show of that number waits for the timecode."""
+        return self.main is not None and self.main.number == number and self.main.is_ready
+
+    def waits_on(self, number: int) -> bool:
+        """Return whether that show waits also while there is no timecode."""
+        cue = None if self.main is None else self.main.cue
+        return (
+            cue is not None and self.is_ready(number) and (cue.is_ready or cue.name == self.armed)
+        )
 
     def next_go(self) -> str | None:
         """Return the cue that GO fires; None: there is none."""
@@ -421,7 +430,7 @@ class Director:
         self._orders.append(
             orders.ShowEnded(number=over.number, show=over.show, outcome=outcome, played_s=played_s)
         )
-        if over.cue is not None and not over.resumes:
+        if over.cue is not None and not over.resumes and not over.is_ready:
             self._cool_down(over.cue)
 
     def _cool_down(self, cue: Cue) -> None:
@@ -434,14 +443,20 @@ class Director:
         if reason := self._refusal(cue) or (self._start(cue, signal, start_s) if cue.shows else ""):
             self._refuse(cue.name, signal, reason)
             return False
-        self._fired_ns[cue.name] = self._now_ns
         if not cue.shows:
             self._note_fired(cue, signal, cue.deed or "enables, disables")
+        self._note_fire(cue)
+        return True
+
+    def _note_fire(self, cue: Cue) -> None:
+        """Do what a cue that fires does besides its show."""
+        self._fired_ns[cue.name] = self._now_ns
+        if self.armed == cue.name and cue.follows:
+            self.armed = None
         for name in (*cue.enables, *cue.disables):
             self.enable(name, is_enabled=name in cue.enables)
         if cue.deed is not None:
             self._do(cue.deed)
-        return True
 
     def _refusal(self, cue: Cue) -> str:
         """Return why a cue cannot fire, whatever plays; empty if it can."""
@@ -482,7 +497,7 @@ class Director:
                 reason = self._why_not_added(show)
             case "only_if_idle" if playing:
                 reason = f"{playing[0].show} plays"
-            case "interrupt" if main is not None and main.cue is not None:
+            case "interrupt" if main is not None and main in playing:
                 reason = self._why_not_left(cue, main)
             case _:
                 reason = self._outranked(cue)
@@ -505,7 +520,8 @@ class Director:
         self._note_fired(cue, signal, f"plays {show}, {start}")
         if start == "terminate":
             self._drop_waiting()
-        if start == "interrupt" and main is not None and main.cue is not None:
+        if start == "interrupt" and main is not None and main in self._playing():
+            assert main.cue is not None
             main.resumes = True
             self.left.append(Waiting(main.show, main.cue))
         is_beside = start == "add" and (main is not None or self.added)
@@ -513,9 +529,12 @@ class Director:
         self._play(show, cue, how=how, start_s=start_s)
 
     def _playing(self) -> list[Playing]:
-        """Return the shows that play for a cue."""
-        main = [] if self.main is None or self.main.cue is None else [self.main]
-        return [*main, *self.added]
+        """Return the shows that play for a cue, or will when the timecode that runs comes there."""
+        main = self.main
+        if main is None or main.cue is None:
+            return [*self.added]
+        is_waiting = main.is_ready and not self.timecode.is_running(self._now_ns)
+        return [*self.added] if is_waiting else [main, *self.added]
 
     def _outranked(self, cue: Cue) -> str:
         for playing in self._playing():
@@ -562,26 +581,35 @@ class Director:
         how: orders.How = "change",
         start_s: float | None = None,
         is_rest: bool = False,
+        waits: bool = False,
     ) -> None:
         """Order a show, in place of all others or beside them."""
         self._number += 1
         playing = Playing(
-            number=self._number, show=show, cue=cue, since_ns=self._now_ns, is_rest=is_rest
+            number=self._number,
+            show=show,
+            cue=cue,
+            since_ns=self._now_ns,
+            is_rest=is_rest,
+            is_ready=waits,
         )
         if how == "add":
             self.added.append(playing)
         else:
             self._leave_all()
             self.main = playing
-        is_led = (
+        is_led = waits or (
             cue is not None and cue.start != "add" and self.timecode.is_within(cue, self._now_ns)
         )
-        follows_s = cue.on.at_s if cue is not None and is_led else None
-        self._orders.append(
-            orders.Play(
-                number=self._number, show=show, how=how, start_s=start_s, follows_s=follows_s
-            )
+        order = orders.Play(
+            number=self._number,
+            show=show,
+            how=how,
+            start_s=start_s,
+            follows_s=cue.on.at_s if cue is not None and is_led else None,
+            waits=waits,
         )
+        self._orders.append(order)
         cause = "the rest" if is_rest else "idle" if cue is None else f"cue {cue.name}"
         self._orders.append(orders.ShowStarted(number=self._number, show=show, cause=cause))
 
@@ -625,7 +653,8 @@ class Director:
             return
         self._rests = False
         main = self.main
-        is_free = main is None or main.is_rest or (main.cue is None and bool(self.queue))
+        is_idle = main is None or main.cue is None or main.is_ready
+        is_free = main is None or main.is_rest or (is_idle and bool(self.queue))
         if is_free and not self.added and self.has_begun:
             self._next()
 

@@ -134,8 +134,14 @@ class CueEntry(FileModel, title="cue"):
     follow: bool = Field(
         default=True,
         description="Of timecode: the show stays in step with it. It is joined some seconds in, "
-        "where the robot has got to; a jump is rejoined; a jump out of the show ends it. false: it "
-        "plays from its beginning, by its own clock.",
+        "where the robot has got to, unless the timecode comes to its beginning while no other cue "
+        "plays: then the robot waits there. A jump is rejoined; a jump out of the show ends it. "
+        "false: it plays from its beginning, by its own clock.",
+    )
+    ready: bool = Field(
+        default=False,
+        description="Of timecode, of one cue: in place of the idle show, the robot waits at the "
+        "beginning of this show while no timecode comes.",
     )
     enabled: bool = Field(default=True, description="Whether it can fire from the start.")
     enable: list[Name] = Field(default=[], description="Cues that can fire from then on.")

@@ -290,7 +290,11 @@ class _Loader:
                 line = cues[entry.cue].line
                 self._note((*place, "cue"), f"{entry.cue!r} is given twice, first in line {line}")
                 continue
-            cues[entry.cue] = self._cue(entry, place, robot, names)
+            cues[entry.cue] = cue = self._cue(entry, place, robot, names)
+            first = next(one for one in cues.values() if one.is_ready or one is cue)
+            if cue.is_ready and first is not cue:
+                text = f"the robot waits for one cue only, {first.name!r} in line {first.line}"
+                self._note((*place, "ready"), text)
         return tuple(cues.values())
 
     def _cue(self, entry: CueEntry, place: Location, robot: Robot | None, names: list[str]) -> Cue:
@@ -307,8 +311,7 @@ class _Loader:
         for key in ("start", "choose", "cooldown_s"):
             if key in entry.model_fields_set and not shows:
                 self._note((*place, key), f"{key} belongs to play")
-        if "follow" in entry.model_fields_set and trigger.kind is not Kind.TIMECODE:
-            self._note((*place, "follow"), "follow belongs to a trigger of timecode")
+        follows = self._follows(entry, place, trigger)
         for key in ("enable", "disable"):
             for number, name in enumerate(getattr(entry, key)):
                 if name not in names:
@@ -324,12 +327,24 @@ class _Loader:
             start=entry.start,
             priority=entry.priority,
             cooldown_s=entry.cooldown_s,
-            follows=entry.follow and trigger.kind is Kind.TIMECODE,
+            follows=follows,
+            is_ready=entry.ready,
             is_enabled=entry.enabled,
             enables=tuple(entry.enable),
             disables=tuple(entry.disable),
             line=self.source.line(place),
         )
+
+    def _follows(self, entry: CueEntry, place: Location, trigger: Trigger) -> bool:
+        """Return whether the show of a cue follows the timecode; note keys that do not belong."""
+        if "follow" in entry.model_fields_set and trigger.kind is not Kind.TIMECODE:
+            self._note((*place, "follow"), "follow belongs to a trigger of timecode")
+        follows = entry.follow and trigger.kind is Kind.TIMECODE
+        can_wait = follows and isinstance(entry.play, str) and entry.start != "add"
+        if entry.ready and not can_wait:
+            text = "ready belongs to a cue that plays one show in step with the timecode"
+            self._note((*place, "ready"), text)
+        return follows
 
     def _trigger(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
         given = entry.model_fields_set

@@ -109,10 +109,17 @@ class Cue:
     priority: int = 0
     cooldown_s: float = 0.0
     follows: bool = True
+    is_ready: bool = False
+    """The figure waits at the start of its show while no timecode comes."""
     is_enabled: bool = True
     enables: tuple[str, ...] = ()
     disables: tuple[str, ...] = ()
     line: int | None = None
+
+    @property
+    def can_wait(self) -> bool:
+        """Whether its show can wait at its beginning for the timecode."""
+        return self.follows and len(self.shows) == 1 and self.start != "add"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

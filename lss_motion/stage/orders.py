@@ -26,6 +26,8 @@ class Play:
     """Show time from which it is played; None: from its beginning."""
     follows_s: float | None = None
     """Position of the timecode at show time 0, if the show follows it."""
+    waits: bool = False
+    """It stands at its beginning until the timecode comes there."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ takes a fraction of a millisecond, and nothing in it waits.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from random import Random
@@ -29,6 +28,7 @@ from lss_motion.stage.director import Director, ShowInfo
 from lss_motion.stage.duty import Reason
 from lss_motion.stage.log import Ring
 from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.playing import Both, CueState, Playing
 from lss_motion.stage.sending import Sending
 from lss_motion.stage.timecode import StageTimecode
 from lss_motion.stage_run import perform_stage
@@ -344,8 +344,9 @@ class StageRun:
 
     def on_turn(self, player: Player, now_ns: int) -> None:
         """Let operators see the run, and others receive the show clock."""
-        main = self.director.main if self._playing.has_begun else None
-        self._sending.turn(player, main, now_ns)
+        main = self.director.main
+        is_played = main is not None and self._playing.has_begun and not main.is_ready
+        self._sending.turn(player, main if is_played else None, now_ns)
         if self._steerer is not None:
             self._steerer.on_turn(player, now_ns)
 
@@ -366,8 +367,13 @@ class StageRun:
             self.note_counts()
         if self._ring_ns is not None and self.now_ns >= self._ring_ns:
             self._dump_ring()
-        self._obey(None if self._is_over else player, now_ns)
-        if self.timecode is not None and player is not None and not self._is_over:
+        if self._is_over or player is None:
+            self._obey(None)
+            return
+        if self.timecode is not None:
+            self.timecode.prepare(director, player, self.now_ns, now_ns)
+        self._obey(player, now_ns)
+        if self.timecode is not None:
             self.timecode.steer(player, now_ns, is_paused=self._wanted_rate == 0.0)
 
     def _take_timecode(self) -> None:
@@ -462,7 +468,8 @@ class StageRun:
             if order is not None and program is not None:
                 place_s = self.timecode.begin(order, program, player, now_ns, self._offset_ns)
         player.change_to(program, now_ns, start_s=start_s if place_s is None else place_s)
-        was_led, self._is_led = self._is_led, place_s is not None
+        was_led = self._is_led
+        self._is_led = self.timecode is not None and self.timecode.following is not None
         if was_led or self._is_led:  # It begins paused, and has the rate of its leader then.
             self._rate = 0.0 if self._is_led else self._wanted_rate * self.director.duty.rate
             player.set_rate(self._rate, now_ns)
@@ -594,9 +601,11 @@ class StageRun:
             return "given_up"
         if not director.is_connected:
             return self.state
-        if director.duty.reasons and (director.main is None or director.main.cue is None):
+        main = director.main
+        is_idle = main is None or main.cue is None or main.is_ready
+        if director.duty.reasons and is_idle:
             return "rests"
-        return "plays" if director.main is not None and director.main.cue is not None else "idle"
+        return "idle" if is_idle else "plays"
 
     def _dump_ring(self) -> None:
         """Keep the last bytes, and what came in the second after the fault."""
@@ -604,90 +613,6 @@ class StageRun:
         if self.stage.log.ring_s > 0.0:
             name = self.wall().astimezone(self.stage.zone).strftime("%Y%m%d-%H%M%S")
             self._note({"dump": name, "content": self.ring.content()})
-
-
-@dataclass(slots=True)
-class CueState:
-    """What a cue has done so far."""
-
-    fired: int = 0
-    fired_ns: int | None = None
-    refused: str = ""
-    """Why it was refused since it has fired last."""
-
-
-@dataclass(slots=True)
-class Playing:
-    """The shows of the player by the numbers of the director."""
-
-    main: int | None = None
-    has_begun: bool = False
-    start_s: float | None = None
-    leaving: deque[int] = field(default_factory=deque)
-    """Shows that have begun and brake for another one; the player reports each when it is over."""
-    added: dict[str, int] = field(default_factory=dict)
-    begun: set[str] = field(default_factory=set)
-    """Those of the added ones that have begun."""
-
-    def leave(self, order: orders.Play | None) -> list[tuple[int, float | None]]:
-        """Note what was ordered in place of all; return what is over at once: it had not begun."""
-        waiting = self.added.keys() - self.begun
-        over: list[tuple[int, float | None]] = [(self.added.pop(name), None) for name in waiting]
-        if self.main is not None and self.has_begun:
-            self.leaving.append(self.main)
-        elif self.main is not None:
-            over.append((self.main, self.start_s))
-        self.main = None if order is None else order.number
-        self.start_s = None if order is None else order.start_s
-        self.has_begun = False
-        return over
-
-    def note_begun(self, event: ShowBegan) -> None:
-        if event.is_added:
-            self.begun.add(event.name)
-        else:
-            self.has_begun = True
-
-    def note_over(self, summary: ShowSummary) -> int | None:
-        """Return the number of a show that is over."""
-        if summary.is_added:
-            self.begun.discard(summary.name)
-            return self.added.pop(summary.name, None)
-        if self.leaving:
-            return self.leaving.popleft()
-        number, self.main, self.has_begun = self.main, None, False
-        return number
-
-
-class Both:
-    """Two taps as one."""
-
-    def __init__(self, one: Tap, other: Tap) -> None:
-        self._taps = (one, other)
-
-    def sent(self, bus: str, data: bytes, now_ns: int) -> None:
-        for tap in self._taps:
-            tap.sent(bus, data, now_ns)
-
-    def received(self, bus: str, data: bytes, now_ns: int) -> None:
-        for tap in self._taps:
-            tap.received(bus, data, now_ns)
-
-    def turned(self, now_ns: int) -> None:
-        for tap in self._taps:
-            tap.turned(now_ns)
-
-    def happened(self, event: Event, now_ns: int) -> None:
-        for tap in self._taps:
-            tap.happened(event, now_ns)
-
-    def requested(self, text: str, now_ns: int) -> None:
-        for tap in self._taps:
-            tap.requested(text, now_ns)
-
-    def noted(self, bus: str, text: str, now_ns: int) -> None:
-        for tap in self._taps:
-            tap.noted(bus, text, now_ns)
 
 
 def cause_of(result: StageResult) -> tuple[Cause | None, str]:

@@ -2,6 +2,7 @@
 
     take(leg, now_ns)            takes where the timecode is, at instants of the stage
     turn(director, now_ns)       reads the source, and tells the director
+    prepare(director, ...)       lets the next show wait at its beginning
     begin(order, player, ...)    lets a show follow, if there is time to get into it
     steer(player, ...)           keeps that show in step (`player.following`)
 
@@ -41,6 +42,12 @@ LEAVE_S: Final = 1.8
 """Added to the way to a show, for braking the one before and asking the servos where they are. A
 simulated robot of seven joints took 1.0 s in a process of its own, 0.4 s in virtual time; a robot
 that comes too late rejoins some 4 s later."""
+READY_S: Final = 1.0
+"""A robot is at the beginning of a show this much before the timecode."""
+READY_MAX_S: Final = 60.0
+"""A robot that waits there is sent away if the timecode is further than this before it. Chosen: a
+show that is wound back to its count-in; from further away there is time to come again."""
+PREPARE_NS: Final = NS_PER_S // 4
 SILENT_NS: Final = NS_PER_S
 """Legs come twice a second at least; without one for so long it is a freewheel."""
 
@@ -115,7 +122,7 @@ class StageTimecode:
         """Keeps the present show in step; None: it does not follow."""
         self.number = 0
         """Of the order by which the show plays that follows; 0: none does."""
-        self._offset_ns = 0
+        self._offset_ns = self._prepared_ns = 0
         self._begins_s = self._lasts_s = 0.0
         """Of the show that follows: the position at show time 0, and its duration."""
 
@@ -143,11 +150,12 @@ class StageTimecode:
             self._leave_elsewhere(director, now_ns)
             director.take_timecode(self._leg.at_s(now_ns), self._leg.rate, now_ns)
             if self.following is not None:
-                self.following.lead(self._led(), now_ns)
+                self.following.lead(self._led(), now_ns - self._offset_ns)
         elif self._leg is not None and not self._is_lost:
             self._is_lost = now_ns - self._received_ns > ns_from_s(self._given.freewheel_s)
             if self._is_lost:
                 director.take_timecode(None, 0.0, now_ns)
+                self._wait_without(director, now_ns)
         self._texts += () if self._legs is None else self._legs.take_texts()
         after = self._state(now_ns)
         if after != before and State.SEARCHING.value not in (after, before):
@@ -164,6 +172,18 @@ class StageTimecode:
 
     # ---- the show that follows
 
+    def prepare(self, director: Director, player: StagePlayer, now_ns: int, player_ns: int) -> None:
+        """Let the next show wait at its beginning, when it is time to go there."""
+        if now_ns < self._prepared_ns + PREPARE_NS or player.outcome is not None:
+            return
+        self._prepared_ns = now_ns
+        if (coming := director.coming(now_ns)) is None or coming[1] > READY_MAX_S:
+            return
+        cue, ahead_s = coming
+        way_s = player.way_s(player.repertoire.programs[cue.shows[0]], None, player_ns)
+        if ahead_s <= LEAVE_S + way_s + FIRST_SLACK_S + READY_S:
+            director.get_ready(cue, now_ns)
+
     def begin(
         self, order: Play, program: Program, player: StagePlayer, now_ns: int, offset_ns: int
     ) -> float | None:
@@ -173,10 +193,17 @@ class StageTimecode:
         `now_ns` is the player's, `offset_ns` what the instants of the stage are later.
         """
         self.leave()
-        if order.follows_s is None or self._leg is None or self._is_lost:
+        has_leg = self._leg is not None and not self._is_lost
+        if order.follows_s is None or not (has_leg or order.waits):
             return None
         self._begins_s, self._lasts_s = order.follows_s, program.duration_s
         self._offset_ns = offset_ns
+        if order.waits:
+            self.following, self.number = Following(self._rule), order.number
+            if has_leg:
+                self.following.lead(self._led(), now_ns)
+            return None
+        assert self._leg is not None
         leader_s = self._led().at_s(now_ns)
         way_s = player.way_s(program, max(leader_s, 0.0), now_ns)
         place_s = max(leader_s + self._leg.rate * (LEAVE_S + way_s + FIRST_SLACK_S), 0.0)
@@ -206,13 +233,28 @@ class StageTimecode:
         instant_ns, at_s, rate = self._leg
         return Leg(instant_ns - self._offset_ns, at_s - self._begins_s, rate)
 
+    def _wait_without(self, director: Director, now_ns: int) -> None:
+        """Let a show that waits go on waiting without timecode, if it is to, or leave it.
+
+        Without this it would freewheel into its beginning. A source that stood may send nothing.
+        """
+        assert self._leg is not None
+        if self.following is None or not director.is_ready(self.number):
+            return
+        if director.waits_on(self.number):
+            self.following = Following(self._rule)
+        elif self._leg.rate >= RUNNING_RATE:
+            director.leave(self.number, now_ns)
+
     def _leave_elsewhere(self, director: Director, now_ns: int) -> None:
         """Leave a show that follows if the timecode has jumped out of it."""
         assert self._leg is not None
-        if self.following is None or self._leg.rate < RUNNING_RATE:
+        is_ready = director.is_ready(self.number)
+        if self.following is None or (self._leg.rate < RUNNING_RATE and not is_ready):
             return
         show_s = self._leg.at_s(now_ns) - self._begins_s
-        if not -JUMP_S <= show_s <= self._lasts_s + JUMP_S:
+        early_s = READY_MAX_S if is_ready else JUMP_S
+        if not -early_s <= show_s <= self._lasts_s + JUMP_S:
             self._texts.append("the timecode has left the show")
             director.leave(self.number, now_ns)
 

@@ -1,5 +1,7 @@
 """From signals to the cues that they trigger: addresses, values, edges, and the timecode.
 
+`Bags` chooses which of its shows such a cue plays.
+
 A signal with a value that lasts (a sensor, a fader) triggers when the value passes its threshold,
 not for as long as it is beyond it. All that may refuse a cue that was triggered is in `director`.
 """
@@ -14,6 +16,7 @@ from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+    from random import Random
 
     from lss_motion.stage.model import Cue, Signal
 
@@ -113,7 +116,7 @@ class TimecodeCues:
             if rate > 0.0 and (found := self._within(at_s)) is not None:
                 yield found, at_s - found.on.at_s
             return
-        yield from self._pass_to(at_s)
+        yield from self._pass_to(at_s, now_ns)
         # It does not go back for a source whose positions scatter: nothing is passed twice.
         self._at_s, self._rate, self._now_ns = max(at_s, self._at_s), rate, now_ns
 
@@ -125,9 +128,7 @@ class TimecodeCues:
             and self._rate > 0.0
             and now_ns - self._received_ns < self._freewheel_ns
         ):
-            yield from self._pass_to(at_s)
-            if self._at_s is not None and at_s > self._at_s:
-                self._at_s, self._now_ns = at_s, now_ns
+            yield from self._pass_to(at_s, now_ns)
 
     def next_ns(self) -> int | None:
         """Return when the next cue is passed; None: not as it is now."""
@@ -144,9 +145,11 @@ class TimecodeCues:
             return None
         return self._at_s + s_from_ns(now_ns - self._now_ns) * self._rate
 
-    def _pass_to(self, at_s: float) -> Iterator[tuple[Cue, None]]:
+    def _pass_to(self, at_s: float, now_ns: int) -> Iterator[tuple[Cue, None]]:
         assert self._at_s is not None
-        from_s, self._at_s = self._at_s, max(at_s, self._at_s)
+        from_s = self._at_s
+        if at_s > from_s:
+            self._at_s, self._now_ns = at_s, now_ns
         for cue in self._cues:
             if from_s < cue.on.at_s <= at_s:
                 yield cue, None
@@ -165,6 +168,24 @@ class TimecodeCues:
         if at_s is not None and self._rate > 0.0 and (found := self._within(at_s)) is not None:
             yield found, at_s - found.on.at_s
 
+    def coming(self, now_ns: int) -> tuple[Cue, float] | None:
+        """Return the next cue whose show follows, and the seconds up to it, also of a stand."""
+        at_s = self._expected_s(now_ns)
+        if at_s is None:
+            return None
+        ahead = (cue for cue in self._cues if cue.can_wait and cue.on.at_s >= at_s)
+        cue = next(ahead, None)
+        return None if cue is None else (cue, cue.on.at_s - at_s)
+
+    @property
+    def has_position(self) -> bool:
+        """Whether there is timecode, running or standing."""
+        return self._at_s is not None
+
+    def is_running(self, now_ns: int) -> bool:
+        """Return whether there is timecode, and it does not stand."""
+        return self._expected_s(now_ns) is not None and self._rate > 0.0
+
     def is_within(self, cue: Cue, now_ns: int) -> bool:
         """Return whether the timecode runs, and is in the first show of this cue."""
         at_s = self._expected_s(now_ns)
@@ -175,3 +196,40 @@ class TimecodeCues:
         if not cue.shows or not cue.follows:
             return False
         return cue.on.at_s <= at_s < cue.on.at_s + self._duration_s.get(cue.shows[0], 0.0)
+
+
+class Bags:
+    """Which of several shows a cue plays: in turn, or at random without repeats.
+
+    For each cue the shows that are still to come before all have been played.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._coming: dict[str, list[str]] = {}
+
+    def next(self, cue: Cue) -> str:
+        """Return the show that the cue plays next; it stays the next one until it is taken."""
+        if len(cue.shows) == 1:
+            return cue.shows[0]
+        if not self._coming.get(cue.name):
+            self._coming[cue.name] = self._filled(cue, None)
+        return self._coming[cue.name][0]
+
+    def take(self, cue: Cue) -> None:
+        """Note that the next show is played."""
+        if len(cue.shows) == 1:
+            return
+        last = self._coming[cue.name].pop(0)
+        if not self._coming[cue.name]:
+            self._coming[cue.name] = self._filled(cue, last)
+
+    def _filled(self, cue: Cue, last: str | None) -> list[str]:
+        """Return all shows of a cue; a random order does not begin with `last`."""
+        shows = list(cue.shows)
+        if cue.choice == "random":
+            self._random.shuffle(shows)
+            if shows[0] == last:
+                other = self._random.randrange(1, len(shows))
+                shows[0], shows[other] = shows[other], shows[0]
+        return shows

@@ -235,6 +235,23 @@ def test_shows_on_other_joints_are_played_at_the_same_time_each_on_its_own_clock
     assert result.report.outcome == "stopped"
 
 
+def test_what_holds_a_show_before_its_start_holds_no_later_one():
+    evening, _ = play(
+        [
+            (1.0, change("hello")),
+            (1.1, lambda player, now_ns: player.hold_before_start(now_ns)),
+            (6.0, change("wave")),
+            (6.1, lambda player, now_ns: player.set_rate(1.0, now_ns)),
+            (14.0, stop),
+        ],
+        first=None,
+    )
+    assert evening.played == ["hello", "hello left", "wave", "wave finished"]
+    held, wave = evening.summaries
+    assert held.commands == 0
+    assert (wave.ended_ns - wave.began_ns) / S < 3.8, "its 3 s, and some for its servos to settle"
+
+
 def test_what_cannot_be_added_is_refused_with_the_reason():
     full = {"main": replace(shows()["eyes"].line_use["main"], worst_100_ms_ratio=0.9)}
     crowded = replace(shows()["eyes"], line_use=full)

@@ -129,10 +129,11 @@ class Evening:
         return 1000.0 * np.array(found)
 
 
-def planned_in(folder, lost):
+def planned_in(folder, lost, more=""):
     for name, text in FILES.items():
         (folder / f"{name}.yaml").write_text(text)
-    (folder / "stage.yaml").write_text(STAGE.replace("LOST", lost))
+    text = STAGE.replace("LOST", lost)
+    (folder / "stage.yaml").write_text(text.replace("play: dance", f"play: dance{more}"))
     return plan_stage(load_stage(folder / "stage.yaml"))
 
 
@@ -167,6 +168,53 @@ def test_cues_fire_at_their_timecode_and_shows_stay_in_step_through_gaps_and_jum
     ]
     last = evening.run.timecode.state_of(evening.run.now_ns)
     assert (last["state"], last["source"], last["show"]) == ("lost", "ltc", None)
+
+
+def test_a_show_begins_in_step_where_the_timecode_comes_to_its_beginning(tmp_path):
+    """The horn waits at the start; the first moves leave in time, also after a stand before it."""
+    planned = planned_in(tmp_path, "go_on")
+    program = planned.shows["dance"].program
+
+    def at(seconds):  # It stands 2 s before the show from 8 s to 20 s, when a person presses play.
+        return (seconds, 1.0) if seconds < 8 else (max(seconds - 12.0, 8.0), float(seconds > 20))
+
+    evening = Evening(planned, at, 30.0)
+    assert evening.fired == [("twelve", pytest.approx(22.0, abs=0.021))]
+    assert len(evening.off_ms(program, at, 10.5, 21.9)) == 0, "it waits"
+    off_ms = evening.off_ms(program, at, 21.9, 26.0)
+    assert len(off_ms) >= 8
+    assert np.abs(off_ms).max() < 3.0
+    assert evening.over == ["idle left", "dance stopped"]
+
+
+def test_a_show_that_is_ready_waits_for_the_timecode_and_not_for_one_that_was_lost(tmp_path):
+    planned = planned_in(tmp_path, "go_on", ", ready: true")
+    program = planned.shows["dance"].program
+
+    def at(seconds):  # Two seconds of it, which do not come to the show; then the show.
+        if 6.0 < seconds < 8.0:
+            return seconds - 1.0, 1.0
+        return (seconds - 10.0, 1.0) if seconds > 18.0 else None
+
+    evening = Evening(planned, at, 26.0)
+    assert evening.fired == [("twelve", pytest.approx(20.0, abs=0.021))]
+    assert len(evening.off_ms(program, at, 4.0, 19.9)) == 0
+    off_ms = evening.off_ms(program, at, 19.9, 24.0)
+    assert len(off_ms) >= 8
+    assert np.abs(off_ms).max() < 3.0
+
+    lost = Evening(planned_in(tmp_path, "go_on"), lambda s: (s, 1.0) if s < 7.5 else None, 16.0)
+    assert lost.fired == []
+    assert lost.over == ["idle left", "dance left", "idle stopped"], "it does not begin by itself"
+
+
+def test_a_show_after_one_that_waited_begins_at_once(tmp_path):
+    """What holds a show before its start holds that show only."""
+    planned = planned_in(tmp_path, "go_on", ", ready: true")
+    evening = Evening(planned, lambda _: None, 12.0, hand=(6.0, "later"))
+    began_ns = next(ns for ns, target in evening.moves if ns > 6.5 * S and target > 15)
+    assert evening.over[:2] == ["dance left", "wink finished"]
+    assert began_ns < 8.0 * S
 
 
 def test_without_timecode_a_show_holds_if_it_is_to_and_rejoins(tmp_path):

@@ -563,6 +563,92 @@ def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after
     assert len(desk.plays) == count
 
 
+def test_between_two_positions_the_timecode_goes_on_at_its_rate():
+    desk = Desk(timed("one", 101.5, "a"))
+    desk.director.take_timecode(100.0, 1.0, desk.now_ns)
+    desk.wait(1.4, step_s=0.1)
+    assert desk.shown == ["idle"]
+    desk.wait(0.2, step_s=0.1)
+    assert desk.shown == ["a"]
+
+
+def running(desk, from_s, to_s):
+    """Let the timecode run, and the player get ready as `stage.timecode` does, 5 s before."""
+    for at_s in range(from_s, to_s + 1):
+        desk.director.take_timecode(float(at_s), 1.0, desk.now_ns)
+        desk.obey()
+        ready(desk)
+        desk.wait(1)
+
+
+def ready(desk, within_s=5.0):
+    coming = desk.director.coming(desk.now_ns)
+    if coming is not None and coming[1] <= within_s:
+        desk.director.get_ready(coming[0], desk.now_ns)
+        desk.obey()
+
+
+def test_a_show_that_follows_waits_at_its_beginning_and_fires_when_the_timecode_is_there():
+    desk = Desk(replace(timed("one", 100.0, "a"), cooldown_s=600.0), key("x", play="b"))
+    running(desk, 90, 98)
+    (waiting,) = [play for play in desk.plays if play.show == "a"]
+    assert (waiting.waits, waiting.follows_s, waiting.start_s) == (True, 100.0, None)
+    desk.press("x")
+    assert desk.refusal("x") == "a plays", "nobody takes it away while the timecode comes"
+    running(desk, 99, 102)
+    assert [note for note in desk.notes if note.startswith("cue one: ")] == [
+        "cue one: plays a, in step (timecode one)"
+    ]
+    assert [play.show for play in desk.plays] == ["idle", "a"], "it is not begun again"
+    desk.finish("a")
+    desk.director.take_timecode(50.0, 1.0, desk.now_ns)
+    running(desk, 95, 101)
+    assert desk.refusal("one").startswith("cooldown"), "that of a show that was played"
+
+
+def test_what_plays_is_not_left_early_for_a_show_that_follows():
+    desk = Desk(timed("one", 100.0, "a"), key("x", play="b"))
+    running(desk, 90, 92)
+    desk.press("x")
+    running(desk, 93, 98)
+    assert desk.shown == ["b"]
+    running(desk, 99, 101)
+    assert desk.shown == ["a"]
+    assert not desk.plays[-1].waits
+
+
+def test_without_timecode_the_cue_that_is_ready_or_armed_waits_and_others_may_play():
+    cues = replace(timed("one", 100.0, "a"), is_ready=True), timed("two", 200.0, "b")
+    desk = Desk(*cues, key("x", play="sleep"))
+    ready(desk)
+    assert desk.shown == ["a"]
+    number = desk.plays[-1].number
+    assert desk.director.is_ready(number)
+    assert desk.director.waits_on(number)
+    desk.wait(4000)
+    assert not desk.director.duty.reasons, "to wait is no work"
+    desk.press("x")
+    assert desk.shown == ["sleep"]
+    desk.finish("sleep")
+    assert desk.shown == ["idle"]
+    desk.director.arm("two")
+    ready(desk)
+    assert desk.shown == ["b"]
+    running(desk, 203, 204)
+    assert "cue two: plays b, in step (timecode two)" in desk.notes
+    assert desk.director.armed is None
+
+
+def test_timecode_of_another_show_ends_the_wait_and_starts_that_one():
+    cues = replace(timed("one", 100.0, "a"), is_ready=True), timed("two", 90.0, "b")
+    desk = Desk(*(replace(cue, start="only_if_idle") for cue in cues))
+    ready(desk)
+    desk.director.take_timecode(92.0, 1.0, desk.now_ns)
+    desk.obey()
+    assert desk.shown == ["b"]
+    assert desk.plays[-1].start_s == pytest.approx(2.0)
+
+
 # ---- time of day
 
 

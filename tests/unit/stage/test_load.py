@@ -86,6 +86,14 @@ BAD = [
     ("cues:\n  - {cue: a, on: {go: false}, do: stop}", 6, "go can only be true"),
     ("cues:\n  - {cue: a, on: {key: g}, do: stop, enable: [b]}", 6, "no cue 'b'"),
     ("cues:\n  - {cue: a, on: {key: g}, do: stop, follow: true}", 6, "follow belongs to"),
+    ("cues:\n  - {cue: a, on: {key: g}, play: hello, ready: true}", 6, "ready belongs to a cue"),
+    (
+        "sync: {timecode: {source: ltc}}\ncues:\n"
+        "  - {cue: a, on: {timecode: '00:00:01:00'}, play: hello, ready: true}\n"
+        "  - {cue: b, on: {timecode: '00:01:01:00'}, play: hello, ready: true}",
+        8,
+        "waits for one cue only, 'a' in line 6",
+    ),
     ("cues:\n  - {cue: a, on: {key: g}, play: hello, start: now}", 6, "there are: only_if_idle"),
     ("cues: []\nlisten: {http: '127.0.0.1:99999'}", 6, "port 99999 is not from 1 to 65535"),
     ("listen: {allow: [10.0.0.1/8]}", 5, "is no network"),

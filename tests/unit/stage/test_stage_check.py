@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.errors import EXIT_INPUT, EXIT_NO_PLAN
+from lss_motion.errors import EXIT_INPUT, EXIT_NO_PLAN, InputError
 from lss_motion.stage.check import findings, plan_stage
 from lss_motion.stage.load import load_stage
 
@@ -40,6 +40,21 @@ def test_what_does_not_go_together_is_found_with_its_line(kit):
     assert any(line == 8 and "adds 'hello', which moves neck" in text for line, text in found)
     assert (8, "no cue enables 'c'") in found
     assert not any("adds 'scare'" in text for _, text in found)
+
+
+def test_a_show_that_can_only_play_alone_is_not_added_to_an_idle_show(kit):
+    cue = "cues:\n  - {cue: a, on: {key: g}, play: scare, start: add}\n"
+    (kit.folder / "bite.yaml").write_text((kit.folder / "scare.yaml").read_text())
+    (kit.folder / "scare.yaml").write_text(
+        "sequence: scare\nrobot: robot.yaml\nplay:\n  - {wait_for: {sensor: door, below_mm: 300}}\n"
+        "  - {file: bite.yaml}\n"
+    )
+    with pytest.raises(InputError) as refused:
+        plan_stage(kit.load(cue))
+    assert refused.value.line == 6
+    assert "adds 'scare', which waits for a sensor: a show that does so" in refused.value.reason
+    planned = plan_stage(kit.load(cue, kit.stage.replace("idle: idle\n", "")))
+    assert any("adds 'scare', which waits" in one.text for one in findings(planned))
 
 
 def test_check_prints_shows_cues_and_findings(kit, capsys):
