@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.player import Player
     from lss_motion.player.show_clock import Leg
+    from lss_motion.runtime.report import TimingReport
 
 RATE_HZ = 48000
 DRIFT = 1e-4
@@ -39,6 +40,8 @@ BEGIN_S = 4.0
 NS = 1_000_000_000
 SHOW = Path(__file__).parents[2] / "sequences" / "wave.yaml"
 GOAL_S = 0.002
+TURNS = ("alone", "following", "following", "alone")
+"""The computer may have other work for a while: both have their runs near each other."""
 
 
 def heard(seconds: float, jump_at_s: float, jump_s: float) -> tuple[list[Observation], float]:
@@ -191,20 +194,24 @@ def _lateness_rows() -> list[Row]:
     """Return the lateness of moves in real time, alone and following."""
     show = shows.prepare(SHOW, None, is_following=True, loop=1)
     robot = with_port(show.robot, "sim://")
-    rows = []
-    for what, is_led in (("alone", False), ("following", True)):
+    found: dict[str, list[TimingReport]] = {"alone": [], "following": []}
+    for what in TURNS:
         frames = [
             Observation(round(n * 0.04 * (1.0 + DRIFT) * NS), n * 0.04 - BEGIN_S)
             for n in range(25 * 60)
         ]
         tape = Tape(frames, lambda seconds: seconds - BEGIN_S)
-        observer = Observer(controls=tape) if is_led else Observer()
-        timing = perform(show.program, robot, observer=observer).report.timing
-        rows.append(
-            Row(
-                what=f"lateness of moves in real time, {what}",
-                ours=f"p50 {timing.late_p50_us}, p99 {timing.late_p99_us}, "
-                f"max {timing.late_max_us} us, {timing.missed} missed",
-            )
+        observer = Observer(controls=tape) if what == "following" else Observer()
+        found[what].append(perform(show.program, robot, observer=observer).report.timing)
+    return [
+        Row(
+            what=f"lateness of moves in real time, {what} ({len(runs)} runs in turn)",
+            ours="p50 {}, p99 {}, max {} us, {} missed".format(
+                "/".join(str(one.late_p50_us) for one in runs),
+                "/".join(str(one.late_p99_us) for one in runs),
+                "/".join(str(one.late_max_us) for one in runs),
+                sum(one.missed for one in runs),
+            ),
         )
-    return rows
+        for what, runs in found.items()
+    ]

@@ -1,14 +1,16 @@
 """From a trigger to the first byte of a move at the servos, through the whole of `serve`.
 
-A stage stands, without an idle show. A program sends an OSC message, or an HTTP request; the show
-of its cue begins where the robot stands. Counted is from before the message is sent until the first
-move has arrived at the servos, which are simulated behind a pseudo-terminal (`behind_pty`), once
-beside nothing and once beside one busy process on each core.
+A stage stands, without an idle show. A program sends an OSC message, an HTTP request or a MIDI note
+(through JACK without hardware, which hands it over in the next period); the show of its cue begins
+where the robot stands. Counted is from before the message is sent until the first move has arrived
+at the servos, which are simulated behind a pseudo-terminal (`behind_pty`), once beside nothing and
+once beside one busy process on each core.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import os
 import random
@@ -25,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from benches import sound_recorder
 from benches.behind_pty import busy_cores, robot_behind_pty
 from benches.shows import robot_of
 from benches.studio import robot_text
@@ -37,7 +40,9 @@ if TYPE_CHECKING:
     from benches.behind_pty import Heard
 
 SERVOS: Final = 6
-TIMES: Final = 20
+TIMES: Final = 14
+TIMES_BUSY: Final = 6
+NOTE: Final = (0x90, 60, 100)
 WAIT_S: Final = 60.0
 SHOW: Final = """\
 sequence: nod
@@ -54,34 +59,58 @@ shows: {{nod: nod.yaml}}
 cues:
   - {{cue: osc, on: {{osc: /nod}}, play: nod}}
   - {{cue: web, on: {{http: nod}}, play: nod}}
-listen: {{osc: "127.0.0.1:{osc}", http: "127.0.0.1:{http}"}}
+  - {{cue: keys, on: {{note: 60}}, play: nod}}
+listen: {{osc: "127.0.0.1:{osc}", http: "127.0.0.1:{http}"{midi}}}
 log: {{ring_s: 0}}
 """
 
 
-def measure(times: int = TIMES) -> list[Row]:
-    """Return how long triggers take, by OSC and HTTP, with and without other load."""
+def measure(times: int = TIMES, times_busy: int = TIMES_BUSY) -> list[Row]:
+    """Return how long triggers take, by OSC, HTTP and MIDI, with and without other load."""
     robot = replace(robot_of(SERVOS))
     with (
         tempfile.TemporaryDirectory() as text,
         robot_behind_pty(robot) as (real, received),
+        _piano() as play_note,
     ):
         folder = Path(text)
         (folder / "robot.yaml").write_text(robot_text(real))
         start = json.dumps(dict.fromkeys(real.joints, 0.0)).replace('"', "")
         turned = json.dumps(dict.fromkeys(real.joints, 5.0)).replace('"', "")
         (folder / "nod.yaml").write_text(SHOW.format(start=start, turned=turned))
-        with _stage(folder) as (info, osc):
+        with _stage(folder, has_midi=play_note is not None) as (info, osc):
             send = {"OSC": lambda: _send_osc(osc), "HTTP": lambda: _post(info, "/trigger/nod")}
+            if play_note is not None:
+                send["MIDI"] = play_note
             rows = []
             for load in ("nothing", "a busy process on each core"):
                 with contextlib.ExitStack() as stack:
-                    if load != "nothing":
+                    is_busy = load != "nothing"
+                    if is_busy:
                         stack.enter_context(busy_cores())
                     for way, do in send.items():
-                        taken = [_once(info, received, do) for _ in range(times)]
+                        count = times_busy if is_busy else times
+                        taken = [_once(info, received, do) for _ in range(count)]
                         rows.append(_row(way, load, taken))
     return rows
+
+
+@contextlib.contextmanager
+def _piano() -> Iterator[Callable[[], None] | None]:
+    """Yield what plays a note, on a keyboard that the stage can open; None: there is no MIDI."""
+    if sound_recorder.missing() or importlib.util.find_spec("rtmidi") is None:
+        yield None
+        return
+    import rtmidi
+
+    with sound_recorder.sound_server():
+        piano = rtmidi.MidiOut(rtapi=rtmidi.API_UNIX_JACK, name="piano")
+        piano.open_virtual_port("keys")
+        try:
+            yield lambda: piano.send_message(NOTE)
+        finally:
+            piano.close_port()
+            piano.delete()
 
 
 def _row(way: str, load: str, taken_ms: list[float]) -> Row:
@@ -101,7 +130,7 @@ def _once(info: dict[str, Any], received: Callable[[], Heard], do: Callable[[], 
     do()
     end_s = time.monotonic() + WAIT_S
     while time.monotonic() < end_s:
-        time.sleep(0.2)
+        time.sleep(0.1)
         moves = [at_ns for at_ns, line in received() if b"D" in line and b"Q" not in line]
         if moves:
             return (moves[0] - sent_ns) / NS_PER_MS
@@ -109,9 +138,10 @@ def _once(info: dict[str, Any], received: Callable[[], Heard], do: Callable[[], 
 
 
 @contextlib.contextmanager
-def _stage(folder: Path) -> Iterator[tuple[dict[str, Any], int]]:
+def _stage(folder: Path, *, has_midi: bool) -> Iterator[tuple[dict[str, Any], int]]:
     osc, http = _free_port(socket.SOCK_DGRAM), _free_port(socket.SOCK_STREAM)
-    (folder / "bench.yaml").write_text(STAGE.format(osc=osc, http=http))
+    midi = ", midi: piano" if has_midi else ""
+    (folder / "bench.yaml").write_text(STAGE.format(osc=osc, http=http, midi=midi))
     words = [sys.executable, "-m", "lss_motion.cli.start", "serve", str(folder / "bench.yaml")]
     server = subprocess.Popen(
         [*words, "--json"],
