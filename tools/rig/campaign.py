@@ -3,11 +3,12 @@
     tools/run python tools/rig/campaign.py [--runs 20] [--seed 0] [--hosts 3] [--keep FOLDER]
 
 A run: three hosts with their simulated robots, a line like Wi-Fi or a plain one, a show, and one
-fault at a random instant: conductor killed, cable cut and healed, host restarted, player killed,
+fault at a random instant: conductor killed, cable cut and healed, host restarted, figure killed,
 clock jumped, stale conductor, storm of messages, wrong keys. Whatever happens, no servo may get
 what breaks a limit, and the last thing that it gets is to hold (`tools/judge`, which shares no code
-with the package); and every host must have logged what it did. Prints a line a run; exits with 1
-if one was unsafe or unexplained.
+with the package); and every host must have logged what it did. The hosts of `SESSION` runs are the
+same processes, unless the fault ends them; robots and ports are new in each. Prints a line a run;
+exits with 1 if one was unsafe or unexplained.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ FAULTS: Final = (
     "storm",
     "wrong keys",
 )
-START_S: Final = 180.0
+SESSION: Final = len(FAULTS)
+START_S: Final = 120.0
+QUIET: Final = frozenset({"ready", "idle", "alone", "stopped", "ended", "out", "not connected"})
+"""States of a figure without a player."""
 
 
 def main() -> int:
@@ -56,52 +60,95 @@ def main() -> int:
     if why := why_not():
         print(why, file=sys.stderr)
         return 2
+    seeds = list(range(arguments.seed, arguments.seed + arguments.runs))
     bad = 0
-    for seed in range(arguments.seed, arguments.seed + arguments.runs):
-        fault = FAULTS[seed % len(FAULTS)]
-        began = time.monotonic()
+    while seeds:
         with tempfile.TemporaryDirectory(prefix="lss-rig-") as folder:
-            problems = one_run(Path(folder), seed, fault, arguments.hosts)
-            if problems and arguments.keep is not None:
-                shutil.copytree(folder, arguments.keep / f"{seed}", dirs_exist_ok=True)
-        verdict = "; ".join(problems) or "safe"
-        print(f"{seed:4} {fault:16} {time.monotonic() - began:5.0f} s  {verdict}", flush=True)
-        bad += bool(problems)
+            bad += session(Path(folder), seeds, arguments.hosts, arguments.keep)
     print(f"{arguments.runs} runs, {bad} bad")
     return 1 if bad else 0
 
 
-def one_run(folder: Path, seed: int, fault: str, hosts: int) -> list[str]:
-    """Play one show with one fault; return what was unsafe or not explained."""
-    random = Random(f"{seed}/{fault}")
-    victim = f"f{random.randint(1, hosts - 1)}"
-    others = random.choice(("go_on", "slow", "hold"))
-    keys = make_keys(folder, hosts, victim) if fault == "wrong keys" else None
-    jumps = {}
-    if fault == "clock jumped":
-        jump_ns = round(random.choice((-1, 1)) * random.uniform(0.02, 0.6) * 1e9)
-        jumps = {victim: (time.monotonic_ns() + round(random.uniform(12, 18) * 1e9), jump_ns)}
+def session(folder: Path, seeds: list[int], hosts: int, keep: Path | None) -> int:
+    """Take runs from `seeds` and play them with the same hosts; return how many were bad.
+
+    A bad one ends the session: the next begins anew.
+    """
+    random = Random(f"session {seeds[0]}")
+    faults = random.sample(FAULTS, len(FAULTS))
+    line, others = random.choice((PLAIN, WIFI)), random.choice(("go_on", "slow", "hold"))
+    has_keys = random.random() < 0.5
+    keys = make_keys(folder, hosts) if has_keys else None
     with RigStage(
-        folder,
-        hosts=hosts,
-        seed=seed,
-        line=random.choice((PLAIN, WIFI)),
-        show_s=6,
-        others=others,
-        ppm=100.0,
-        jumps=jumps,
-        keys=keys,
+        folder, hosts=hosts, seed=seeds[0], line=line, show_s=5, others=others, ppm=100.0, keys=keys
     ) as rig:
         rig.start_all()
-        missing: list[str] = []
-        with contextlib.suppress(TimeoutError):
-            play(rig, fault, victim, random, missing)
-        verdicts = rig.end()
-        logs = {name: rig.log(name) for name in rig.names}
+        for fault in faults:
+            # Without keys nothing keeps garbage out; with them, it needs a key to come in.
+            if (fault == "wrong keys" and not has_keys) or (fault == "storm" and has_keys):
+                continue
+            if not seeds:
+                break
+            seed, began = seeds.pop(0), time.monotonic()
+            problems = one_run(rig, seed, fault)
+            verdict = "; ".join(problems) or "safe"
+            took = time.monotonic() - began
+            print(f"{seed:4} {fault:16} {others:5} {took:5.0f} s  {verdict}", flush=True)
+            if problems:
+                if keep is not None:
+                    shutil.copytree(folder, keep / f"{seed}", dirs_exist_ok=True)
+                return 1
+    return 0
+
+
+def one_run(rig: RigStage, seed: int, fault: str) -> list[str]:
+    """Play one show with one fault; return what was unsafe or not explained."""
+    random = Random(f"{seed}/{fault}")
+    victim = f"f{random.randint(1, len(rig.names) - 1)}"
+    marks = {name: len(rig.log(name)) for name in rig.names}
+    if not rig.has_robots:
+        rig.start_robots()
+    missing: list[str] = []
+    with contextlib.suppress(TimeoutError):
+        play(rig, fault, victim, random, missing)
+        settle(rig, missing)
+    try:
+        verdicts = rig.end_robots()
+    except TimeoutError as error:
+        return [*missing, str(error)]
     problems = [f"{name}: {text}" for name, one in verdicts.items() for text in one["objections"]]
     problems += missing
+    logs = {name: rig.log(name)[mark:] for name, mark in marks.items()}
     problems += [f"{name}: a traceback" for name, log in logs.items() if "Traceback" in log]
     return problems
+
+
+def settle(rig: RigStage, missing: list[str]) -> None:
+    """Stop what still plays, and wait until all hosts are there and nothing does."""
+    end = time.monotonic() + START_S
+    while time.monotonic() < end:
+        states = rig.states()
+        if len(states) == len(rig.names) and set(states.values()) <= QUIET - {"not connected"}:
+            return
+        rig.say(rig.names[0], "s")
+        time.sleep(1.0)
+    missing.append(f"not settled: {rig.states()}")
+    raise TimeoutError
+
+
+def make_ready(rig: RigStage, missing: list[str], but: str = "") -> None:
+    """Let the conductor load the show again, and wait until all figures are ready for it."""
+    end = time.monotonic() + START_S
+    rig.say(rig.names[0], "l show")
+    while time.monotonic() < end:
+        states = rig.states()
+        if len(states) == len(rig.names) and all(
+            state == "ready" for name, state in states.items() if name != but
+        ):
+            return
+        time.sleep(0.3)
+    missing.append(f"not ready: {rig.states()}")
+    raise TimeoutError
 
 
 def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[str]) -> None:
@@ -117,20 +164,34 @@ def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[s
         raise TimeoutError
 
     if fault == "wrong keys":
-        expect("f0", f"{victim}: it has not connected", START_S)
-        rig.say("f0", "g")
-        expect("f0", f"refused: .*{victim}", 20.0)
+        wrong_keys(rig, victim, expect, missing)
         return
-    for name in rig.names:
-        expect(name, "-> ready", START_S)
-    try:
-        rig.go()
-    except TimeoutError:
-        missing.append("no start")
-        raise
+    make_ready(rig, missing)
+    mark = len(rig.log("f0"))
+    rig.say("f0", "g")
+    expect("f0", "all stand at the start", START_S, mark)
+    expect("f0", "armed -> playing", 30.0, mark)
     time.sleep(random.uniform(0.0, 3.0))
     marks = {name: len(rig.log(name)) for name in rig.names}
     DEEDS[fault](rig, victim, random, lambda n, p, s: expect(n, p, s, marks[n]))
+
+
+def wrong_keys(rig: RigStage, victim: str, expect: Callable[..., int], missing: list[str]) -> None:
+    """Let a host come back with keys of another authority: it stays out until it has its own."""
+    right = rig.folder / "keys"
+    rig.kill(victim)
+    rig.write_stage(victim, rig.folder / "wrong")
+    rig.start(victim)
+    time.sleep(4.0)
+    make_ready(rig, missing, but=victim)
+    mark = len(rig.log("f0"))
+    rig.say("f0", "g")
+    expect("f0", f"refused: .*{victim}", 20.0, mark)
+    mark = len(rig.log(victim))
+    rig.kill(victim)
+    rig.write_stage(victim, right)
+    rig.start(victim)
+    expect(victim, "-> ready", START_S, mark)
 
 
 def _none(rig: RigStage, _victim: str, _random: Random, expect: Callable[..., int]) -> None:
@@ -146,7 +207,7 @@ def _conductor(rig: RigStage, victim: str, random: Random, expect: Callable[...,
         expect(victim, "-> holding|-> ended", 20.0)
     else:
         expect(victim, "stops: the conductor stopped all|-> ended", 20.0)
-        return
+        expect("f0", "STOP for all", 5.0)
     rig.start("f0")
     expect("f0", "-> ready", START_S)
     expect(victim, "follows conductor f0 of epoch", 30.0)
@@ -177,7 +238,9 @@ def _figure(rig: RigStage, victim: str, _random: Random, expect: Callable[..., i
     expect(victim, "-> (ready|stopped|idle)", START_S)
 
 
-def _jump(_rig: RigStage, victim: str, _random: Random, expect: Callable[..., int]) -> None:
+def _jump(rig: RigStage, victim: str, random: Random, expect: Callable[..., int]) -> None:
+    """Let the monotonic clock of a host jump, as of a computer that slept, or was moved."""
+    rig.jump(victim, round(random.choice((-1, 1)) * random.uniform(0.02, 0.6) * 1e9))
     expect(victim, "-> ended|-> ready|-> stopped", 60.0)
 
 
@@ -208,15 +271,13 @@ DEEDS: Final = {
 }
 
 
-def make_keys(folder: Path, hosts: int, victim: str) -> dict[str, Path]:
-    """Make keys for all, but those of the victim by another authority."""
+def make_keys(folder: Path, hosts: int) -> Path:
+    """Make keys for all, and others by another authority; return the folder of the right ones."""
     from lss_motion.network.keys import make_keys as make
 
-    names = [f"f{index}" for index in range(hosts)]
-    right, wrong = folder / "keys", folder / "wrong"
-    for one in (right, wrong):
-        make("rig", names, one)
-    return {name: wrong if name == victim else right for name in names}
+    for one in ("keys", "wrong"):
+        make("rig", [f"f{index}" for index in range(hosts)], folder / one)
+    return folder / "keys"
 
 
 if __name__ == "__main__":

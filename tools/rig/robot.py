@@ -1,12 +1,16 @@
-"""One simulated robot behind a pseudo-terminal, judged at its end.
+"""Simulated robots behind pseudo-terminals, each in a process of its own, judged at its end.
 
-`python -m rig.robot ROBOT.yaml LINK OUT.json`: serves until SIGTERM, then writes what the
-independent judge (`tools/judge`) objects to, and when the moves of the first servo arrived.
+`python -m rig.robot` reads lines `[ROBOT.yaml, LINK, OUT.json]` and forks a process for each (what
+they import is imported once). It writes `OUT.pid` and serves until SIGTERM, then it writes what
+the independent judge (`tools/judge`) objects to, and when the moves of each servo arrived.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import re
+import signal
 import sys
 import time
 from pathlib import Path
@@ -21,11 +25,29 @@ from lss_motion.sim.bus import bus_from_robot, servos_of
 from lss_motion.sim.pty import serve_buses
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
+MOVE = re.compile(rb"#\d+D-?\d+")
 STEP_NS = 5 * NS_PER_MS
 SETTLE_NS = NS_PER_S
 
 
-def main(robot_path: str, link: str, out: str) -> None:
+def main() -> None:
+    """Fork a robot for every line."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    # Not `for line in sys.stdin`: a child must not have lines of others in its buffer.
+    while line := sys.stdin.readline():
+        robot_path, link, out = json.loads(line)
+        if pid := os.fork():
+            fresh = Path(out).with_suffix(".fresh")
+            fresh.write_text(str(pid), encoding="utf-8")
+            fresh.replace(Path(out).with_suffix(".pid"))
+            continue
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        serve(robot_path, link, Path(out))
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def serve(robot_path: str, link: str, out: Path) -> None:
     """Serve, then judge."""
     robot = load_robot(Path(robot_path))
     buses = {name: bus_from_robot(robot, name, seed=1) for name in robot.buses}
@@ -62,12 +84,15 @@ def main(robot_path: str, link: str, out: str) -> None:
     moves = [
         [at, line.decode("latin-1")]
         for bus in buses.values()
-        for at, line in bus.received[0]
-        if b"D" in line and b"T" in line
+        for each in bus.received
+        for at, line in each
+        if MOVE.match(line)  # Not `#1QDT`.
     ]
     verdict = {"objections": found, "lines": commands, "moves": moves}
-    Path(out).write_text(json.dumps(verdict), encoding="utf-8")
+    fresh = out.with_suffix(".new")
+    fresh.write_text(json.dumps(verdict), encoding="utf-8")
+    fresh.replace(out)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -1,4 +1,4 @@
-"""One figure of a stage: `python -m rig.serve STAGE.yaml FIGURE STORE PORT [--go]`."""
+"""One figure of a stage: `python -m rig.serve STAGE.yaml FIGURE STORE PORT [--real-time]`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if __name__ == "__main__":
             figure,
             port=port,
             trust_network=True,
-            starts="--go" in rest,
             folder=Path(store),
+            is_real_time="--real-time" in rest,
         )
     )

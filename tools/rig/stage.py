@@ -3,8 +3,10 @@
 with RigStage(folder, hosts=3, seed=7, line=WIFI) as rig:
     rig.start_all()
     rig.wait("f0", "all stand at the start", 60)
-    rig.cut("f1"); rig.heal("f1"); rig.kill("f2"); rig.start("f2")
-    verdicts = rig.end()         # what the judge objects to, by host
+    rig.cut("f1"); rig.heal("f1"); rig.kill("f2"); rig.start("f2"); rig.jump("f1", 10**8)
+    verdicts = rig.end_robots()  # what the judge objects to, by host
+    rig.start_robots()           # and another show, with the same hosts
+    verdicts = rig.end()
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import os
 import re
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -81,53 +84,57 @@ class RigStage:
         others: str = "hold",
         freewheel_s: float = 1.0,
         ppm: float = 0.0,
-        jumps: dict[str, tuple[int, int]] | None = None,
-        keys: dict[str, Path] | None = None,
+        keys: Path | None = None,
+        is_real_time: bool = False,
     ) -> None:
         self.folder, self.seed, self.line = folder, seed, line
         self.names = [f"f{index}" for index in range(hosts)]
         self._tag = f"l{os.getpid() % 100000}"
-        self._keys = keys or {}
-        self._ppm, self._jumps = ppm, jumps or {}
+        self._keys, self._ppm, self._is_real_time = keys, ppm, is_real_time
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._robots: dict[str, subprocess.Popen[bytes]] = {}
+        self._pool: subprocess.Popen[bytes] | None = None
+        self._robots: dict[str, int] = {}
+        self._rounds = 0
         self._proxy: subprocess.Popen[bytes] | None = None
-        self._write(joints, show_s, loops, others, freewheel_s)
+        self._others, self._freewheel_s = others, freewheel_s
+        self._write(joints, show_s, loops)
 
     # ---- files
 
-    def _write(
-        self, joints: int, show_s: float, loops: int, others: str, freewheel_s: float
-    ) -> None:
+    def _write(self, joints: int, show_s: float, loops: int) -> None:
         folder = self.folder
         rows = "\n".join(f"  j{n}: {{id: {n + 1}, range_deg: [-90, 90]}}" for n in range(joints))
         (folder / "robot.yaml").write_text(ROBOT.format(name="figure", joints=rows))
         keys = []
         steps = round(show_s)
         for index in range(steps + 1):
-            deg = ", ".join(
-                f"{name}.j{n}: {0 if index in (0, steps) else (40 if index % 2 else -40)}"
-                for name in self.names
-                for n in range(joints)
-            )
+            # No two swings are the same, so that a move is known by its target.
+            swing = 0 if index in (0, steps) else (30 + 11 * index % 17) * (-1) ** index
+            deg = ", ".join(f"{name}.j{n}: {swing}" for name in self.names for n in range(joints))
             keys.append(f"  - {{at_s: {index}, deg: {{{deg}}}}}")
         (folder / "show.yaml").write_text(
             f"sequence: show\nrobot: robot.yaml\nloop: {loops}\nkeyframes:\n" + "\n".join(keys)
         )
-        for index, name in enumerate(self.names):
-            address = "10.77.0.1:7447" if index == 0 else f"10.77.0.254:{7000 + index}"
-            own = {self.names[0]: f', address: "{address}"'}
-            figures = "\n".join(
-                f"  {one}: {{robot: robot.yaml{own.get(one, '')}}}" for one in self.names
-            )
-            network = f"freewheel_s: {freewheel_s}"
-            if name in self._keys:
-                network += f", keys: {json.dumps(str(self._keys[name]))}"
-            (folder / f"{name}.yaml").write_text(
-                f"stage: rig\nfigures:\n{figures}\nconductor: {self.names[0]}\n"
-                f"shows: {{show: show.yaml}}\nnetwork: {{{network}}}\n"
-                f"on_fault: {{others: {others}}}\n"
-            )
+        for name in self.names:
+            self.write_stage(name, self._keys)
+            (folder / f"{name}.jump").write_bytes(bytes(8))
+
+    def write_stage(self, name: str, keys: Path | None) -> None:
+        """Write the stage file of a host, with its folder of keys."""
+        index = self.names.index(name)
+        address = "10.77.0.1:7447" if index == 0 else f"10.77.0.254:{7000 + index}"
+        own = {self.names[0]: f', address: "{address}"'}
+        figures = "\n".join(
+            f"  {one}: {{robot: robot.yaml{own.get(one, '')}}}" for one in self.names
+        )
+        network = f"freewheel_s: {self._freewheel_s}"
+        if keys is not None:
+            network += f", keys: {json.dumps(str(keys))}"
+        (self.folder / f"{name}.yaml").write_text(
+            f"stage: rig\nfigures:\n{figures}\nconductor: {self.names[0]}\n"
+            f"shows: {{show: show.yaml}}\nnetwork: {{{network}}}\n"
+            f"on_fault: {{others: {self._others}}}\n"
+        )
 
     # ---- namespaces
 
@@ -181,32 +188,75 @@ class RigStage:
 
     def start_all(self) -> None:
         """Start the robots, and every host."""
+        self.start_robots()
         for name in self.names:
-            words = [str(self.folder / f"{name}.{end}") for end in ("port", "json")]
-            self._robots[name] = self._popen(
-                [sys.executable, "-m", "rig.robot", str(self.folder / "robot.yaml"), *words],
-                f"{name}.robot.txt",
-            )
-        for name in self.names:
-            _until(lambda name=name: (self.folder / f"{name}.port").exists(), 30.0, name)
             self.start(name)
 
-    def start(self, name: str, *, environment: dict[str, str] | None = None) -> None:
+    @property
+    def has_robots(self) -> bool:
+        """Whether robots are there."""
+        return bool(self._robots)
+
+    def start_robots(self) -> None:
+        """Start new robots, each behind the port of the last one."""
+        if self._pool is None:
+            self._pool = self._popen([sys.executable, "-m", "rig.robot"], "robots.txt")
+        assert self._pool.stdin is not None
+        self._rounds += 1
+        for name in self.names:
+            port, out = self.folder / f"{name}.port", self._verdict(name)
+            words = [str(self.folder / "robot.yaml"), str(port), str(out)]
+            self._pool.stdin.write(json.dumps(words).encode() + b"\n")
+            self._pool.stdin.flush()
+            _until(lambda port=port: port.exists(), 30.0, f"the robot of {name}")
+            pid = out.with_suffix(".pid")
+            _until(lambda pid=pid: pid.exists(), 30.0, f"the robot of {name}")
+            self._robots[name] = int(pid.read_text())
+
+    def _verdict(self, name: str) -> Path:
+        return self.folder / f"{name}.{self._rounds}.json"
+
+    def end_robots(self) -> dict[str, dict[str, Any]]:
+        """End the robots when no player has their ports; return what the judge says of each."""
+        for name, pid in self._robots.items():
+            port = os.path.realpath(self.folder / f"{name}.port")
+            _until(lambda port=port, pid=pid: not _users(port, pid), 40.0, f"{name}: port in use")
+        for pid in self._robots.values():
+            os.kill(pid, signal.SIGTERM)
+        self._robots.clear()
+        verdicts = {}
+        for name in self.names:
+            out = self._verdict(name)
+            _until(lambda out=out: out.exists(), 60.0, f"the verdict about {name}")
+            verdicts[name] = json.loads(out.read_text())
+        return verdicts
+
+    def start(self, name: str) -> None:
         """Start a host, or start it again."""
         if name in self._processes and (stdin := self._processes[name].stdin) is not None:
             with contextlib.suppress(OSError):
                 stdin.close()
         index = self.names.index(name)
         ppm = self._ppm * (index % 3 - 1)
-        jump_at, jump = self._jumps.get(name, (0, 0))
-        clock = f"{index * 10**12},{ppm},{jump_at},{jump}"
+        clock = f"{index * 10**12},{ppm},{self.folder / f'{name}.jump'}"
         stores = [str(self.folder / f"{name}.{end}") for end in ("store", "port")]
         stage = str(self.folder / f"{name}.yaml")
+        more = ["--real-time"] if self._is_real_time else []
         self._processes[name] = self._popen(
-            [*_in(self._space(name)), sys.executable, "-m", "rig.serve", stage, name, *stores],
+            [
+                *_in(self._space(name)),
+                *[sys.executable, "-m", "rig.serve", stage, name, *stores, *more],
+            ],
             f"{name}.txt",
-            {"LSS_RIG_CLOCK": clock, **(environment or {})},
+            {"LSS_RIG_CLOCK": clock},
         )
+
+    def jump(self, name: str, by_ns: int) -> None:
+        """Let the clock of a host jump, that of its player too."""
+        with (self.folder / f"{name}.jump").open("r+b") as file:
+            (before,) = struct.unpack("<q", file.read(8))
+            file.seek(0)
+            file.write(struct.pack("<q", before + by_ns))
 
     def _popen(
         self, words: list[str], log: str, environment: dict[str, str] | None = None
@@ -289,31 +339,41 @@ class RigStage:
         _until(is_there, seconds, f"{name}: {text!r} in\n{self.log(name)[-2000:]}")
         return found + len(text)
 
+    def states(self) -> dict[str, str]:
+        """Return the states of all figures as the conductor knows them."""
+        first = self.names[0]
+        mark = len(self.log(first))
+        self.say(first, "?")
+        pattern = re.compile(rf" {first}: (\w+): (not connected|\w+)")
+
+        def found() -> dict[str, str]:
+            return {m[1]: m[2] for m in pattern.finditer(self.log(first), mark)}
+
+        with contextlib.suppress(TimeoutError):
+            _until(lambda: len(found()) == len(self.names), 5.0, "states")
+        return found()
+
     # ---- the end
 
     def end(self) -> dict[str, dict[str, Any]]:
         """End all hosts, then their robots; return what the judge says of each."""
         for name, process in self._processes.items():
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, subprocess.CalledProcessError):
                 self.heal(name)
             if process.poll() is None:
                 self.say(name, "q")
         for process in self._processes.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(30)
-        time.sleep(0.5)
-        for process in self._robots.values():
-            process.terminate()
-        verdicts = {}
-        for name, process in self._robots.items():
-            process.wait(60)
-            verdicts[name] = json.loads((self.folder / f"{name}.json").read_text())
-        return verdicts
+        return self.end_robots()
 
     def remove(self) -> None:
         """End what is left, and remove the namespaces."""
-        proxies = [] if self._proxy is None else [self._proxy]
-        for process in [*self._processes.values(), *self._robots.values(), *proxies]:
+        for pid in self._robots.values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        own = [one for one in (self._pool, self._proxy) if one is not None]
+        for process in [*self._processes.values(), *own]:
             process.kill()
             process.wait(10)
             for pipe in (process.stdin, process.stdout):
@@ -324,6 +384,15 @@ class RigStage:
             subprocess.run(
                 ["ip", "netns", "del", self._space(name)], capture_output=True, check=False
             )
+
+
+def _users(port: str, robot: int) -> bool:
+    """Return whether a process other than its robot has a port open."""
+    for fd in Path("/proc").glob("[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):
+            if str(fd.readlink()) == port and int(fd.parts[2]) != robot:
+                return True
+    return False
 
 
 def _ip(*words: str) -> None:

@@ -1,11 +1,14 @@
 """Garbage for a stage, from a computer in it: `python -m rig.storm STAGE FIGURE ADDRESS SEED`.
 
 It sends what a broken or hostile program could: a thousand messages a second with any key and any
-content, true messages of others with changed fields among them. Ends when its input is closed.
+content, true messages of others with changed fields among them; and beside them connections whose
+bytes are no protocol at all. Ends when its input is closed.
 """
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import sys
 import threading
 import time
@@ -23,6 +26,7 @@ def main(stage: str, figure: str, address: str, seed: str) -> None:
     random = Random(seed)
     ended = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    threading.Thread(target=knock, args=(address, Random(seed + "k"), ended), daemon=True).start()
     names = [figure, "f0", "nobody"]
     settings = NetworkSettings(
         stage=stage, figure=figure, conductor="f0", figures=[figure, "f0"], address=address,
@@ -33,6 +37,20 @@ def main(stage: str, figure: str, address: str, seed: str) -> None:
             for _ in range(10):
                 peer.send(random.choice(KEYS).format(random.choice(names)), content(random))
             time.sleep(0.01)
+
+
+def knock(address: str, random: Random, ended: threading.Event) -> None:
+    """Connect, send garbage, and leave or stay, again and again."""
+    host, _, port = address.rpartition(":")
+    kept: list[socket.socket] = []
+    while not ended.is_set():
+        with contextlib.suppress(OSError):
+            one = socket.create_connection((host, int(port)), 1.0)
+            one.sendall(random.randbytes(random.choice((1, 100, 60_000))))
+            kept.append(one)
+        while len(kept) > 20:
+            kept.pop(random.randrange(len(kept))).close()
+        time.sleep(0.02)
 
 
 def content(random: Random) -> bytes:

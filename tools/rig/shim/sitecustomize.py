@@ -1,18 +1,25 @@
-"""Gives a process of the rig a monotonic clock of its own: offset, drift and one jump.
+"""Gives a process of the rig a monotonic clock of its own: offset, drift and jumps.
 
-`LSS_RIG_CLOCK` is `OFFSET_NS,PPM,JUMP_AT,JUMP_NS`; `JUMP_AT` is an instant of the computer's clock.
+`LSS_RIG_CLOCK` is `OFFSET_NS,PPM,FILE`; the file has the sum of all jumps so far, in ns (int64).
 """
 
 import os
 import time
 
 if text := os.environ.get("LSS_RIG_CLOCK"):
-    _offset_ns, _ppm, _jump_at_ns, _jump_ns = (float(part) for part in text.split(","))
+    import mmap
+    import struct
+    from pathlib import Path
+
+    _offset_ns, _ppm, _path = text.split(",", 2)
+    _offset, _drift = int(_offset_ns), float(_ppm) * 1e-6
+    with Path(_path).open("rb") as _file:
+        _jumps = mmap.mmap(_file.fileno(), 8, prot=mmap.PROT_READ)
+    _read = struct.Struct("<q").unpack_from
     _real_ns = time.monotonic_ns
 
     def _monotonic_ns() -> int:
         real_ns = _real_ns()
-        jumped_ns = _jump_ns if _jump_at_ns and real_ns >= _jump_at_ns else 0.0
-        return real_ns + int(_offset_ns + jumped_ns) + int(real_ns % 10**14 * _ppm * 1e-6)
+        return real_ns + _offset + _read(_jumps)[0] + int(real_ns % 10**14 * _drift)
 
     time.monotonic_ns = _monotonic_ns
