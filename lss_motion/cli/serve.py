@@ -149,6 +149,7 @@ def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
         port=arguments.port,
         trust_network=arguments.trust_network,
         starts=arguments.go,
+        is_real_time=arguments.real_time,
     )
 
 

@@ -10,7 +10,7 @@
 them must know; it is sent `BEAT_NS` apart and whenever it changes.
 
 A figure that is lost, out or faulted while a show plays leaves the others to `others`: they go on,
-or hold until it is back.
+slow down, or hold until it is back.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ LEAD_NS: Final = NS_PER_S
 and ten beats repeat it meanwhile."""
 LOST_NS: Final = NS_PER_S
 """Without a word for so long, a figure is lost."""
+SLOW_RATIO: Final = 0.5
+"""With `others: slow`. Chosen: slow enough to be seen, and the show is still one."""
 GRACE_NS: Final = 5 * NS_PER_S
 """Figures that have not connected are named after this time."""
 NOTE_AGAIN_NS: Final = NS_PER_S
@@ -348,12 +350,14 @@ class Conductor:
         if self.leg is None or self.wanted != "armed" or self.leg.instant_ns > now_ns:
             return
         are_all_there = all(self._takes_part(seat, now_ns) for seat in self._cast_seats())
-        # A player that follows has one speed, so slow is hold (`player.following`).
-        limit = 1.0 if are_all_there or self.others == "go_on" else 0.0
+        limit = (
+            1.0 if are_all_there else {"go_on": 1.0, "slow": SLOW_RATIO, "hold": 0.0}[self.others]
+        )
         if limit == self._limit:
             return
         self._limit = limit
-        self._notes.append("all figures play: the show goes on" if limit else "the others hold")
+        slower = "the others are slower" if limit else "the others hold"
+        self._notes.append("all figures play: the show goes on" if limit == 1.0 else slower)
         self._rerate(now_ns)
 
     @property

@@ -32,6 +32,9 @@ FOLLOW_NS: Final = 200 * NS_PER_MS
 AHEAD_NS: Final = 50 * NS_PER_MS
 """A leg that is not the first is passed on this long before its instant, since the player follows
 one leg at a time."""
+SPEED_AHEAD_NS: Final = 600 * NS_PER_MS
+"""A leg that only changes the speed is passed on so early: half of the ramp is before its instant.
+Chosen: 0.5 of the rate takes 0.4 s at 180 deg/s and 600 deg/s2."""
 STOP_AGAIN_NS: Final = NS_PER_S // 2
 OVER_S: Final = 3.0
 """A player that has not ended so long after the end of its show holds somewhere in it. Chosen: a
@@ -150,7 +153,8 @@ class Figure:
         elif self._received_ns is not None and now_ns - self._received_ns > LOST_NS:
             self._notes.append("the conductor is back")
         self.beat, self._received_ns = beat, now_ns
-        if bound is None or is_new or beat.run != bound.run or beat.cast != bound.cast:
+        is_other = bound is None or is_new or beat.run != bound.run or beat.cast != bound.cast
+        if is_other or beat.wanted == "ready":  # What was stopped is over for all.
             self._is_stopped = self._is_held = False
             self._why = ""
             self._legs.clear()
@@ -164,7 +168,7 @@ class Figure:
         beat = self.beat
         if beat is None or (stop.epoch, stop.instance) != (beat.epoch, beat.instance):
             return
-        if stop.run == beat.run:
+        if stop.run == beat.run and beat.wanted == "armed":
             self._is_stopped = True
 
     def take_lost(self) -> None:
@@ -405,7 +409,7 @@ class Figure:
             return
         conductor_ns = clock.other_ns(now_ns)
         is_waiting = self.player.phase == "standing"
-        leg = self._leg_at(conductor_ns if is_waiting else conductor_ns + AHEAD_NS)
+        leg = self._leg_at(conductor_ns + (0 if is_waiting else self._ahead_ns(conductor_ns)))
         if leg is None and is_waiting:
             leg = self._legs[0]
         if leg is None:
@@ -414,6 +418,14 @@ class Figure:
         at_ns = max(leg.instant_ns, conductor_ns)
         own_ns, rate = clock.own_ns(at_ns), leg.rate * (1.0 + clock.rate_ratio)
         self._pass_on(Follow(own_ns, leg.at_s(at_ns), rate), leg.number, now_ns, actions)
+
+    def _ahead_ns(self, conductor_ns: int) -> int:
+        """Return how long before its instant the next leg is passed on."""
+        present = self._leg_at(conductor_ns)
+        if present is None or len(self._legs) < 2:
+            return AHEAD_NS
+        rates = {present.rate, self._legs[1].rate}
+        return SPEED_AHEAD_NS if len(rates) == 2 and min(rates) > 0.0 else AHEAD_NS
 
     def _pass_on(self, follow: Follow, number: int, now_ns: int, actions: list[Action]) -> None:
         last = self._followed

@@ -16,7 +16,7 @@ from lss_motion.errors import LssMotionError
 from lss_motion.network.figure import PlayerView
 from lss_motion.network.plans import read_plan
 from lss_motion.player.events import Phase
-from lss_motion.player.following import FollowRule
+from lss_motion.player.following import SLOW_RATE, FollowRule
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
@@ -52,7 +52,9 @@ class PlayerLink:
         **options: Any,  # noqa: ANN401
     ) -> None:
         self._robot, self._options, self._log = robot, options, log
-        self._rule = FollowRule(freewheel_s=freewheel_s + BACKSTOP_S, lost="hold")
+        self._rule = FollowRule(
+            freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE
+        )
         self._process: subprocess.Popen[bytes] | None = None
         self._link: Link | None = None
         self._view = PlayerView()

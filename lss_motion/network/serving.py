@@ -69,6 +69,7 @@ def serve_figure(
     trust_network: bool = False,
     starts: bool = False,
     folder: Path | None = None,
+    is_real_time: bool = False,
 ) -> int:
     """Serve one figure until Ctrl-C or `q`; return the exit code.
 
@@ -77,7 +78,13 @@ def serve_figure(
     """
     log = _log(figure)
     host, robots = host_of(
-        stage, figure, port=port, trust_network=trust_network, folder=folder, log=log
+        stage,
+        figure,
+        port=port,
+        trust_network=trust_network,
+        folder=folder,
+        log=log,
+        is_real_time=is_real_time,
     )
     settings = host.settings
     log(f"{'conducts' if settings.is_conductor else 'is a figure of'} stage {stage.name!r}")
@@ -101,6 +108,7 @@ def host_of(
     trust_network: bool = False,
     folder: Path | None = None,
     log: Callable[[str], None] = lambda _text: None,
+    is_real_time: bool = False,
 ) -> tuple[Host, dict[str, Robot]]:
     """Return the host of one figure, and the robots that it knows: the conductor's knows all."""
     from lss_motion import __version__
@@ -123,7 +131,7 @@ def host_of(
     host = Host(
         settings,
         robot,
-        PlayerLink(robot, freewheel_s=freewheel_s, log=log),
+        PlayerLink(robot, freewheel_s=freewheel_s, log=log, is_real_time=is_real_time),
         PlanStore(plans),
         lambda instance: Peer(settings, clock_id=instance if settings.is_conductor else ""),
         version=__version__,
@@ -276,7 +284,8 @@ def states(host: Host) -> list[str]:
         show = "" if status.show_s is None else f", at {status.show_s:.2f} s"
         off = "" if status.off_s is None else f" ({1e3 * status.off_s:+.1f} ms)"
         text = f": {status.text or seat.problem}" if status.text or seat.problem else ""
-        found.append(f"{name}: {status.state}{show}{off}{bound}{text}")
+        state = "lost" if seat.is_lost(time.monotonic_ns()) else status.state
+        found.append(f"{name}: {state}{show}{off}{bound}{text}")
     return found
 
 

@@ -5,6 +5,10 @@ player by what any caller may do: trim its clock, brake, seek, run. A leader tha
 trims of at most `TRIM_MAX_RATIO`. Everything else is a place to begin at: the robot stands on its
 course at some show time, and begins to move so early that it is in step when it has its speed. If
 the leader is elsewhere, the robot first approaches a place that lies in the leader's future.
+
+A leader that runs between `SLOW_RATE` and `RUNNING_RATE` is followed at its speed, if the rule says
+so. When it changes that at an instant that it gave ahead, the ramp of the robot has its middle
+there: so it ends in step.
 """
 
 from __future__ import annotations
@@ -40,7 +44,11 @@ JUMP_S: Final = 0.1
 FOLLOW_NS: Final = NS_PER_S // 10
 """The trim is set this often, and with every new leg."""
 RUNNING_RATE: Final = 0.9
+"""A leader that is faster than this runs as planned, but for a trim."""
+SLOW_RATE: Final = 0.2
 """A leader that is slower than this stands, for who follows it."""
+SPEED_STEP: Final = 0.05
+"""The speed of a slow leader is known as a multiple of this; the rest is trimmed."""
 PROMPT_S: Final = 5e-4
 """The run begins when this near to its instant: the rest is trimmed."""
 WAIT_MAX_S: Final = 3.0
@@ -72,6 +80,17 @@ class FollowRule:
 
     freewheel_s: float | None = 2.0
     lost: OnNoLeader = "go_on"
+    slowest: float = RUNNING_RATE
+    """A leader that is slower stands. A conductor slows down on purpose, a tape only when a person
+    shuttles it."""
+
+    def speed_of(self, leader: Leg) -> float:
+        """Return the rate at which a show runs beside a leader, but for the trim; 0: it stands."""
+        if leader.rate >= RUNNING_RATE:
+            return 1.0
+        if leader.rate < self.slowest:
+            return 0.0
+        return round(round(leader.rate / SPEED_STEP) * SPEED_STEP, 3)
 
 
 class Followed(Protocol):
@@ -108,8 +127,13 @@ def require_can_follow(program: Program) -> None:
 class Following:
     """Follows one leader with one player. Call `turn` each turn, the first one before it moves."""
 
-    def __init__(self, rule: FollowRule | None = None, *, place_s: float | None = None) -> None:
-        """With `place_s`, a caller lets the show begin there, paused: it is where to join."""
+    def __init__(
+        self, rule: FollowRule | None = None, *, place_s: float | None = None, pauses: bool = False
+    ) -> None:
+        """With `place_s`, a caller lets the show begin there: it is where to join.
+
+        It begins paused: by the caller, or with `pauses` by the first turn.
+        """
         self.rule = rule or FollowRule()
         self.step = Step.WAITING
         self.off_s: float | None = None
@@ -119,9 +143,11 @@ class Following:
         self.note_request: Callable[[str, int], None] = _forget
         """Notes what decides about the show, for a log."""
         self._leader: Leg | None = None
+        self._coming: Leg | None = None
+        """The next leg of a leader that changes its speed, until its instant."""
         self._led_ns = 0
         self._followed_ns = -FOLLOW_NS
-        self._has_begun, self._is_new = place_s is not None, False
+        self._has_begun, self._is_new = place_s is not None and not pauses, False
         self._rate = 0.0
         """As the player was last asked for."""
         self._is_paused = False
@@ -139,8 +165,18 @@ class Following:
         """Note where the leader is. One whose instant is to come stands there until then."""
         if self._is_lost:
             self._say("back", "the leader is back")
-        self._leader, self._is_new, self._is_lost = leader, True, False
+        self._is_new, self._is_lost = True, False
         self._led_ns = max(now_ns, leader.instant_ns)
+        before = self._leader
+        is_ahead = leader.instant_ns > now_ns
+        if is_ahead and before is not None and self._changes_speed(before, leader):
+            self._coming = leader  # It goes on as before until then.
+        else:
+            self._leader, self._coming = leader, None
+
+    def _changes_speed(self, before: Leg, leader: Leg) -> bool:
+        one, other = self.rule.speed_of(before), self.rule.speed_of(leader)
+        return min(one, other) > 0.0 and one != other
 
     def set_paused(self, *, is_paused: bool) -> None:
         """Hold, whatever the leader does, or follow it again."""
@@ -158,7 +194,11 @@ class Following:
         """Do what the leader requires now."""
         if not self._has_begun:
             self._has_begun = True
-            self._hold_before_start(player, now_ns)
+            if self._place_s is None:
+                self._hold_before_start(player, now_ns)
+            else:
+                self.note_request("rate 0.0", now_ns)
+                player.set_rate(0.0, now_ns)
         show = player.show
         if show is None or player.phase is not Phase.SHOW:
             if player.phase is Phase.RECOVER:  # It goes on only when it is in step again.
@@ -167,6 +207,7 @@ class Following:
         before = self.step
         if before is Step.WAITING:
             self._say_once("waits for its leader")
+        self._take_coming(player, show, now_ns)
         leader = self._running_leader(now_ns)
         if leader is None:
             self._hold(player, show, now_ns)
@@ -177,6 +218,21 @@ class Following:
         if self.step is Step.RUNNING and before in (Step.WAITING, Step.HOLDING, Step.JOINING):
             self._say("step", "in step with its leader")
         self._is_new = False
+
+    def _take_coming(self, player: Followed, show: Streamer, now_ns: int) -> None:
+        """Change the speed half of the ramp before the leader does, which has none."""
+        coming = self._coming
+        if coming is None:
+            return
+        speed, present = self.rule.speed_of(coming), show.clock.target_rate
+        if present > 0.0 and speed != present and not show.clock.is_ramping(now_ns):
+            half_ns = ns_from_s(show.ramp_over_s(abs(speed - present), now_ns)) // 2
+            if now_ns < coming.instant_ns - half_ns:
+                self._wake(player, coming.instant_ns - half_ns)
+            elif self.step is Step.RUNNING:
+                self._run_at(player, speed, now_ns)
+        if now_ns >= coming.instant_ns:
+            self._leader, self._coming = coming, None
 
     def _running_leader(self, now_ns: int) -> Leg | None:
         """Return the leader, if the show has to run or to begin with it."""
@@ -192,7 +248,7 @@ class Following:
                 self._say("lost", f"no leader for {freewheel_s:g} s: {does}")
             if self.rule.lost == "hold":
                 return None
-        return None if leader.rate < RUNNING_RATE else leader
+        return None if self.rule.speed_of(leader) == 0.0 else leader
 
     def _hold(self, player: Followed, show: Streamer, now_ns: int) -> None:
         """Stand: at once before the start, else after braking."""
@@ -219,8 +275,13 @@ class Following:
             elif abs(leader_s - show.show_s(now_ns)) > PROMPT_S:
                 self._run_from(player, min(leader_s, show.begin_s), now_ns)
             return
-        if show.clock.is_ramping(now_ns) or show.clock.target_rate != 1.0:
-            return  # It gains its speed, or a fault has slowed it down.
+        if show.clock.is_ramping(now_ns):
+            return
+        speed = self.rule.speed_of(leader)
+        if show.clock.target_rate != speed:
+            if self._coming is None and show.clock.target_rate == self._rate:
+                self._run_at(player, speed, now_ns)  # Else a fault has slowed it down.
+            return
         leader = leader._replace(instant_ns=now_ns, show_s=leader_s)
         text = f"follow {leader_s!r} {leader.rate!r} {TRIM_MAX_RATIO!r} {CLOSING_S!r}"
         self.note_request(text, now_ns)
@@ -250,15 +311,16 @@ class Following:
             return
         if not show.is_standing(now_ns):
             return
-        ramp_s = show.ramp_up_s(now_ns)
+        speed = self.rule.speed_of(leader)
+        ramp_s = show.ramp_over_s(speed, now_ns)
         # While it gains its speed, the show covers half of the way of its leader.
-        early_s = (here_s + 0.5 * ramp_s - leader.rate * ramp_s - leader_s) / leader.rate
+        early_s = (here_s + (0.5 * speed - leader.rate) * ramp_s - leader_s) / leader.rate
         if self._place_s is not None:
             if early_s < -PROMPT_S:
                 self._slack_s += MORE_SLACK_S - early_s
             self._place_s = None
         if -LATE_MAX_S <= early_s <= PROMPT_S:
-            self._run_at(player, 1.0, now_ns)
+            self._run_at(player, speed, now_ns)
             self.step = Step.JOINING
         elif 0.0 < early_s <= WAIT_MAX_S or (early_s > 0.0 and here_s <= show.begin_s + JUMP_S):
             self._wake(player, now_ns + ns_from_s(early_s))

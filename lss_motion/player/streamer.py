@@ -307,10 +307,10 @@ class Streamer:
         """Run, and be at `show_s` now: at most at the first instant of the show."""
         self.clock.run_from(show_s, now_ns)
 
-    def ramp_up_s(self, now_ns: int) -> float:
-        """Return how long the ramp from standing to rate 1 would take now."""
+    def ramp_over_s(self, change: float, now_ns: int) -> float:
+        """Return how long a change of the rate by so much would take now."""
         show_s = self.clock.show_s(now_ns)
-        return ramp_s(self.joint_states.values(), self._program, show_s, 1.0)
+        return ramp_s(self.joint_states.values(), self._program, show_s, change)
 
     def pose_at(self, show_s: float) -> dict[str, float]:
         """Return the joint angles of the plan at a show time."""

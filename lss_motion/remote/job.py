@@ -33,7 +33,10 @@ class Job:
 
     def run(self, operator: Operator) -> Outcome:
         """Play it with this client as its operator."""
-        following = None if self.follow is None else Following(self.follow)
+        start_s = self.options.get("start_s")
+        following = None
+        if self.follow is not None:
+            following = Following(self.follow, place_s=start_s, pauses=True)
         return play(self, Steering(operator, self.rule, following=following))
 
 

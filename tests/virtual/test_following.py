@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion import shows
 from lss_motion.player.events import Phase, PhaseEntered
-from lss_motion.player.following import Following, FollowRule, Step
+from lss_motion.player.following import SLOW_RATE, Following, FollowRule, Step
 from lss_motion.player.show_clock import Leg
 
 S = 1_000_000_000
@@ -140,6 +140,34 @@ def test_a_jump_brakes_approaches_and_arrives_in_step(stage, kit, drive, by_s):
     assert gap < 6.0
     back_s = next(s for s in joined if s > 7.2)
     assert np.abs(leader.off_s(back_s + 1.0)).max() < 2e-3
+
+
+@pytest.mark.parametrize("drive", ["timed", "streamed"])
+def test_a_leader_that_says_before_that_it_slows_down_is_followed_without_a_stop(stage, kit, drive):
+    robot = kit.robot(2, baud_bps=115200, drive=drive)
+    show = kit.sequence(2, 12.0, step_s=(0.6, 0.9))
+    turns = {6.0: Leg(0, 3.0, 0.5), 10.0: Leg(0, 5.0, 1.0)}
+
+    def at(s):
+        return 0.5 * (s - 6.0) + 3.0 if 6.0 <= s < 10.0 else s - (3.0 if s < 6.0 else 5.0)
+
+    def told(s):
+        for turn_s, leg in turns.items():
+            if turn_s - 0.6 <= s < turn_s:
+                ahead = leg._replace(instant_ns=leader.start_ns + int(turn_s * S))
+                leader.following.lead(ahead, leader.next_ns)
+                return None
+        return at(s), 0.5 if 6.0 <= s < 10.0 else 1.0
+
+    leader = Leader(told, FollowRule(slowest=SLOW_RATE))
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == "finished"
+    assert leader.following.jumps == 0
+    assert "seeking" not in phases(played)
+    off_s = [abs(led_s - show_s) for s, show_s, led_s in leader.course if 7.0 < s < 9.3 or s > 11.5]
+    assert len(off_s) > 50
+    assert max(off_s) < 5e-3
+    assert_limits_hold(played, robot)
 
 
 def test_a_leader_that_stands_or_is_reversed_holds_the_robot_and_goes_on_with_it(

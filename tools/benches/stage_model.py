@@ -88,16 +88,21 @@ class ModelPlayer:
         self._arm_ns, self._duration_s = arm_ns, duration_s
         self._at_ns = 0
         self._leg: Follow | None = None
+        self._coming: Follow | None = None
         self.starts = 0
 
     def act(self, action: Action, now_ns: int) -> None:
         match action:
             case Arm():
                 self.view, self._at_ns = PlayerView("starting"), now_ns + self._arm_ns
-                self._leg, self.starts = None, self.starts + 1
+                self._leg = self._coming = None
+                self.starts += 1
             case Follow() if self.view.phase in ("standing", "playing"):
                 self.follows.append((now_ns, action))
-                self._leg = action
+                if self._leg is None or action.instant_ns <= now_ns:
+                    self._leg, self._coming = action, None
+                else:
+                    self._coming = action
             case StopPlayer() if self.view.phase != "none":
                 self.stops += 1
                 self.view, self._at_ns = PlayerView("stopping"), now_ns + NS_PER_S // 2
@@ -109,6 +114,8 @@ class ModelPlayer:
         elif phase == "stopping" and now_ns >= self._at_ns:
             self.view = PlayerView("none")
         elif phase in ("standing", "playing") and self._leg is not None:
+            if self._coming is not None and now_ns >= self._coming.instant_ns:
+                self._leg, self._coming = self._coming, None
             leg = self._leg
             if now_ns >= leg.instant_ns:
                 show_s = leg.show_s + leg.rate * (now_ns - leg.instant_ns) / NS_PER_S

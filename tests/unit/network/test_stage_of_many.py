@@ -7,6 +7,7 @@ import pytest
 from benches.stage_model import LOOPBACK, WIFI, World
 from lss_motion.errors import InputError
 from lss_motion.network.conductor import LEAD_NS
+from lss_motion.network.figure import PlayerView
 from lss_motion.network.messages import Beat, StopAll, hash_of
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
@@ -71,6 +72,34 @@ def test_stop_is_once_however_often_it_arrives():
     assert [host.player.stops for host in world.hosts.values()] == [1] * 4
 
 
+def test_after_a_stop_the_same_show_can_be_played_again():
+    world = playing()
+    conductor = world.conductor
+    conductor.stop()
+    assert world.run(5.0, lambda: world.states() == {"stopped"})
+    stop = StopAll(
+        conductor="f0", epoch=conductor.epoch, instance=conductor.instance, run=conductor.run
+    )
+    conductor.load(world.cast)
+    world.run(0.5)
+    world.hosts["f1"].figure.take_stop(stop)  # It comes late.
+    world.run(0.5)
+    assert world.states() == {"ready"}
+    world.go()
+    assert world.run(5.0, lambda: world.states() == {"playing"}), world.states()
+
+
+def test_a_figure_that_the_show_left_behind_is_ready_for_the_next_one():
+    world = playing(show_s=8.0, others="go_on")
+    host = world.hosts["f2"]
+    host.player.view = PlayerView("playing", 1.0)  # It holds somewhere, and never ends.
+    host.player.tick = lambda _: host.player.view
+    assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
+    host.player.view = PlayerView("none")
+    world.conductor.end()
+    assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
+
+
 def test_without_the_conductor_a_figure_freewheels_then_holds():
     world = playing(show_s=60.0)
     world.is_conducting = False
@@ -87,7 +116,7 @@ def test_without_the_conductor_a_figure_freewheels_then_holds():
     assert world.run(5.0, lambda: world.states() == {"playing"})
 
 
-@pytest.mark.parametrize(("others", "rate"), [("go_on", 1.0), ("slow", 0.0), ("hold", 0.0)])
+@pytest.mark.parametrize(("others", "rate"), [("go_on", 1.0), ("slow", 0.5), ("hold", 0.0)])
 def test_a_lost_figure_leaves_the_others_to_the_rule(others, rate):
     world = playing(others=others, show_s=120.0)
     lost, conductor = world.hosts["f2"], world.conductor
