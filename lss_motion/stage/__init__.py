@@ -14,8 +14,9 @@ triggers        from signals to the cues that they trigger
 duty            why a figure rests, and how often it begins again after faults
 director        decides which show plays
 orders          what the director orders and notes
+records         what has been done and refused, for the log and for operators
 running         couples the director and the player, one run after the other
-playing         what these runs keep: which shows play, what cues have done
+playing         what these runs keep: which shows play, two taps as one
 timecode        where the timecode is, and the show that follows it
 sending         timecode out, from the clock of the shows that play
 job             what the process of the player does for a stage, and its client

@@ -1,4 +1,4 @@
-"""What the runs of a stage keep: which shows play, what cues have done, and two taps as one."""
+"""What the runs of a stage keep: which shows play, and two taps as one."""
 
 from __future__ import annotations
 
@@ -10,16 +10,6 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event, ShowBegan, ShowSummary
     from lss_motion.runtime.runner import Tap
     from lss_motion.stage import orders
-
-
-@dataclass(slots=True)
-class CueState:
-    """What a cue has done so far."""
-
-    fired: int = 0
-    fired_ns: int | None = None
-    refused: str = ""
-    """Why it was refused since it has fired last."""
 
 
 @dataclass(slots=True)

@@ -25,10 +25,10 @@ from lss_motion.runtime.clock import MonotonicClock
 from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director, ShowInfo
-from lss_motion.stage.duty import Reason
 from lss_motion.stage.log import Ring
 from lss_motion.stage.model import Kind, Signal
-from lss_motion.stage.playing import Both, CueState, Playing
+from lss_motion.stage.playing import Both, Playing
+from lss_motion.stage.records import Records, state_word
 from lss_motion.stage.sending import Sending
 from lss_motion.stage.timecode import StageTimecode
 from lss_motion.stage_run import perform_stage
@@ -51,12 +51,8 @@ MEASURE_NS: Final = NS_PER_S
 """Temperatures and currents are polled every second or so."""
 SAMPLE_NS: Final = 60 * NS_PER_S
 """A line about them in the log: 200 kilobytes in a day."""
-REFUSED_NS: Final = 60 * NS_PER_S
-"""Equal refusals are counted, and noted this often: a storm of triggers does not fill the disk."""
 RATE_EVERY_NS: Final = 100 * NS_PER_MS
 """As `remote.player_end.RATE_EVERY_NS`."""
-REFUSALS_MAX: Final = 1000
-"""Different refusals that are counted at a time."""
 PORT_NS: Final = 5 * NS_PER_S
 """A port that is missing at the start is tried again this much later."""
 
@@ -186,13 +182,12 @@ class StageRun:
         self._rate, self._rated_ns = 1.0, 0
         self._is_led = False
         """Whether the present show follows the timecode."""
-        self._about: dict[str, CueState] = {cue.name: CueState() for cue in stage.cues}
+        self._records = Records(stage, self.wall, self._write)
         self._must_connect = True
         self._is_relaxing = self._is_over = False
         self._measured_ns = self._sampled_ns = 0
         self._ring_ns: int | None = None
-        self._refusals: dict[tuple[str, str], list[int]] = {}
-        self._counted_ns = 0
+        self._ticked_ns: int | None = None
         self._clock = MonotonicClock()
         if not options.is_virtual:
             self.now_ns = self._clock.now_ns()
@@ -361,8 +356,8 @@ class StageRun:
         if player is not None and not self._is_over:
             self._read(player)
             self._set_rate(player, now_ns)
-        if self.now_ns >= director.next_wakeup_ns() or not self._counted_ns:
-            self._counted_ns = self._counted_ns or self.now_ns
+        if self.now_ns >= director.next_wakeup_ns() or self._ticked_ns is None:
+            self._ticked_ns = self.now_ns
             director.tick(self.now_ns, self.wall())
             self.note_counts()
         if self._ring_ns is not None and self.now_ns >= self._ring_ns:
@@ -439,10 +434,8 @@ class StageRun:
                     player.finish(now_ns)
                 case orders.Connect():
                     self._must_connect = True
-                case orders.Alert():
-                    self.record("alert", order.text, alert=order.kind)
                 case _:
-                    self._note_order(order)
+                    self._records.note_order(order, self.now_ns)
 
     def _play(self, order: orders.Play, player: StagePlayer | None, now_ns: int) -> None:
         if player is None:
@@ -514,98 +507,24 @@ class StageRun:
 
     def record(self, kind: str, text: str, **more: object) -> None:
         """Keep what happened, with the time of day."""
-        wall = self.wall().astimezone(self.stage.zone)
-        record = {"t": wall.isoformat(timespec="milliseconds"), "kind": kind, "text": text, **more}
+        self._records.note(kind, text, **more)
+
+    def _write(self, record: Record) -> None:
         self._note(record)
         if self._steerer is not None:
             self._steerer.note(record)
 
-    def _note_order(self, order: orders.Order | orders.Note) -> None:
-        match order:
-            case orders.CueFired():
-                about = self._about.setdefault(order.cue, CueState())
-                about.fired, about.fired_ns, about.refused = about.fired + 1, self.now_ns, ""
-                self.record("fired", order.text, cue=order.cue, what=order.what)
-            case orders.CueRefused():
-                self._count_refusal(order)
-            case orders.ShowRefused():
-                named = {"cue": order.cue, "show": order.show, "reason": order.reason}
-                self.record("not_played", order.text, **named)
-            case orders.ShowStarted():
-                self.record("started", order.text, show=order.show, cause=order.cause)
-            case orders.ShowEnded():
-                self.record("ended", order.text, show=order.show, outcome=order.outcome)
-            case orders.RestChanged():
-                self.record("rest", order.text, reasons=list(order.reasons))
-            case orders.Noted():
-                self.record("note", order.text)
-            case _:
-                pass
-
-    def _count_refusal(self, order: orders.CueRefused) -> None:
-        """Note a refusal; equal ones that follow are only counted for a while."""
-        self._about.setdefault(order.cue, CueState()).refused = order.reason
-        key = (order.cue, order.reason.partition(",")[0])
-        if key in self._refusals or len(self._refusals) >= REFUSALS_MAX:
-            self._refusals.setdefault(("others", "many refusals"), [0])
-            self._refusals.get(key, self._refusals[("others", "many refusals")])[0] += 1
-            return
-        self._refusals[key] = [0]
-        self.record("refused", order.text, cue=order.cue, reason=order.reason, count=1)
-
     def note_counts(self, *, is_last: bool = False) -> None:
-        """Note how often cues were refused since the first time, once a minute."""
-        if not is_last and self.now_ns < self._counted_ns + REFUSED_NS:
-            return
-        self._counted_ns = self.now_ns
-        for (cue, reason), (count,) in self._refusals.items():
-            if count:
-                text = f"cue {cue} refused {count} more times: {reason}"
-                self.record("refused", text, cue=cue, reason=reason, count=count)
-        self._refusals.clear()
+        """Note how often cues were refused, once a minute."""
+        self._records.note_counts(self.now_ns, is_last=is_last)
 
     def state_of(self) -> Record:
         """Return the whole state, for operators."""
-        director = self.director
-        main = director.main
         return {
-            "state": self._state_word(),
-            "show": None if main is None else main.show,
-            "cause": "" if main is None else "idle" if main.cue is None else main.cue.name,
-            "added": tuple(one.show for one in director.added),
-            "queue": tuple(one.show for one in director.queue),
-            "left": tuple(one.show for one in director.left),
-            "next_go": director.next_go(),
-            "reasons": tuple(director.duty.reasons.values()),
+            "state": state_word(self.director, self.state),
             "timecode": None if self.timecode is None else self.timecode.state_of(self.now_ns),
-            "cues": tuple(
-                {
-                    "name": cue.name,
-                    "on": cue.on.text,
-                    "plays": ", ".join(cue.shows) or cue.deed or "",
-                    "is_enabled": director.enabled[cue.name],
-                    "fired": about.fired,
-                    "last_fired_s": None
-                    if about.fired_ns is None
-                    else round(s_from_ns(self.now_ns - about.fired_ns), 1),
-                    "refused": about.refused,
-                }
-                for cue in self.stage.cues
-                for about in [self._about[cue.name]]
-            ),
+            **self._records.state_of(self.director, self.now_ns),
         }
-
-    def _state_word(self) -> str:
-        director = self.director
-        if Reason.FAULT in director.duty.reasons:
-            return "given_up"
-        if not director.is_connected:
-            return self.state
-        main = director.main
-        is_idle = main is None or main.cue is None or main.is_ready
-        if director.duty.reasons and is_idle:
-            return "rests"
-        return "idle" if is_idle else "plays"
 
     def _dump_ring(self) -> None:
         """Keep the last bytes, and what came in the second after the fault."""
