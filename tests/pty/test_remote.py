@@ -12,24 +12,10 @@ from pathlib import Path
 import pytest
 
 import lss_motion as lss
+from tests.swing import WAIT_S, until, write_show
 
 pytestmark = pytest.mark.realtime
 
-ROBOT = """\
-robot: arm
-buses: {main: {port: ./port, baud_bps: 115200, firmware: 370}}
-joints:
-  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-"""
-SHOW = """\
-sequence: swing
-robot: arm.yaml
-loop: forever
-keyframes:
-  - {at_s: 0, deg: {a: 0}}
-  - {at_s: 1, deg: {a: 30}}
-  - {at_s: 2, deg: {a: 0}}
-"""
 PLAYER = """\
 import sys, time
 import lss_motion as lss
@@ -41,27 +27,17 @@ for event in handle.events():
         print(handle._process.pid, flush=True)
         time.sleep(60)
 """
-WAIT_S = 20.0
 
 
 @pytest.fixture
 def show(tmp_path):
-    Path(tmp_path, "arm.yaml").write_text(ROBOT)
-    Path(tmp_path, "swing.yaml").write_text(SHOW)
+    write_show(tmp_path)
 
     def load():
         robot = lss.load_robot("arm.yaml")
         return lss.compile(lss.plan(lss.load_sequence("swing.yaml"), robot), robot), robot
 
     return load
-
-
-def until(is_met):
-    """Wait until a condition holds; the time only bounds a failure."""
-    end_s = time.monotonic() + WAIT_S
-    while not is_met():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 def is_running(pid):

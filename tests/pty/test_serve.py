@@ -23,15 +23,10 @@ pytest.importorskip("pythonosc", reason="pip install 'lss-motion[stage,studio]'"
 
 from pythonosc.osc_message_builder import OscMessageBuilder
 
+from tests.swing import ROBOT, WAIT_S, until
+
 pytestmark = pytest.mark.realtime
-WAIT_S = 60.0
 HOLD = b"#254H\r"
-ROBOT = """\
-robot: arm
-buses: {main: {port: ./port, baud_bps: 115200, firmware: 370}}
-joints:
-  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-"""
 SHOW = """\
 sequence: {name}
 robot: arm.yaml
@@ -58,15 +53,6 @@ def free_port(kind=socket.SOCK_STREAM):
     with socket.socket(socket.AF_INET, kind) as own:
         own.bind(("127.0.0.1", 0))
         return own.getsockname()[1]
-
-
-def until(is_met):
-    """Wait until a condition holds; the time only bounds a failure."""
-    end_s = time.monotonic() + WAIT_S
-    while not (found := is_met()):
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
-    return found
 
 
 class Hall:

@@ -18,23 +18,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from tests.swing import SHOW, WAIT_S, until, write_show
+
 pytestmark = pytest.mark.realtime
 
-ROBOT = """\
-robot: arm
-buses: {main: {port: ./port, baud_bps: 115200, firmware: 370}}
-joints:
-  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-"""
-SHOW = """\
-sequence: swing
-robot: arm.yaml
-loop: forever
-keyframes:
-  - {at_s: 0, deg: {a: 0}}
-  - {at_s: 1, deg: {a: 30}}
-  - {at_s: 2, deg: {a: 0}}
-"""
 CERTIFICATE = """\
 -----BEGIN CERTIFICATE-----
 MIIBlTCCATqgAwIBAgIUPw+u/Y5U3IX5tLwTzmLCgPvvgs8wCgYIKoZIzj0EAwIw
@@ -56,17 +43,7 @@ RoSo7znNQDVnWNNnUu8jsexRQHbpPa/HYA6pUJ6FX4JRYZm6jPyslzG6
 -----END PRIVATE KEY-----
 """
 """Of 127.0.0.2, for these tests alone; made by openssl for a hundred years."""
-WAIT_S = 30.0
 HOLD = b"#254H\r"
-
-
-def until(is_met):
-    """Wait until a condition holds; the time only bounds a failure."""
-    end_s = time.monotonic() + WAIT_S
-    while not (found := is_met()):
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
-    return found
 
 
 def state_of(pid):
@@ -146,8 +123,7 @@ class Browser:
 @pytest.fixture
 def studio(tmp_path):
     """Return what starts a studio on the show in this folder; its processes end with the test."""
-    Path(tmp_path, "arm.yaml").write_text(ROBOT)
-    Path(tmp_path, "swing.yaml").write_text(SHOW)
+    write_show(tmp_path)
     running = []
 
     def start(*options):
