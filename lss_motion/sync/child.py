@@ -1,6 +1,7 @@
 """A process of this package with a pipe each way, that opens a device before it is used.
 
 It writes `{"ready": text}` or `{"failed": text}` first, and ends when its standard input does.
+`Child` is the end of who started it; `serve` and `write` are used in the process itself.
 """
 
 from __future__ import annotations
@@ -12,7 +13,10 @@ import select
 import subprocess
 import sys
 import time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 OPEN_S: Final = 10.0
 """The longest time that a device may take to open."""
@@ -111,3 +115,16 @@ class Child:
             process.kill()
             process.wait()
         process.stdout.close()
+
+
+def serve(run: Callable[[str, int], None]) -> int:
+    """Call `run` in the process of a `Child` with its argument and the pipe to `write` to."""
+    out_fd = os.dup(1)
+    os.dup2(2, 1)  # What libraries print must not come between the lines.
+    run(sys.argv[1], out_fd)
+    return 0
+
+
+def write(out_fd: int, **values: object) -> None:
+    """Write one line, which `Child.take` returns."""
+    os.write(out_fd, json.dumps(values).encode() + b"\n")

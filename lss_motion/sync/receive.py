@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from lss_motion.sync import chase, midi, packets
 from lss_motion.sync.chase import Chase, Style
+from lss_motion.sync.child import serve, write
 from lss_motion.sync.options import FollowSpec
 from lss_motion.sync.readers import ArtNetReader, FppReader, LtcReader, MtcReader
 from lss_motion.sync.timecode import RATES
@@ -275,15 +276,16 @@ def read_spec(text: str) -> FollowSpec:
     return FollowSpec(**values, rate=None if rate is None else RATES[rate])
 
 
-def run(spec: FollowSpec, out_fd: int) -> None:
+def run(argument: str, out_fd: int) -> None:
     """Read until standard input ends."""
+    spec = read_spec(argument)
     chased = Chase(STYLES[spec.kind], freewheel_s=spec.freewheel_s, offset_s=spec.offset_s)
     try:
         source: Source = SOURCES[spec.kind](spec, chased.say)
     except SourceError as failed:
-        _write(out_fd, {"failed": str(failed)})
+        write(out_fd, failed=str(failed))
         return
-    _write(out_fd, {"ready": source.text})
+    write(out_fd, ready=source.text)
     ended = threading.Event()
     threading.Thread(target=_watch_input, args=(ended,), daemon=True).start()
     try:
@@ -293,7 +295,7 @@ def run(spec: FollowSpec, out_fd: int) -> None:
             chased.advance(time.monotonic_ns())
             _send(chased, out_fd)
     except SourceError as failed:
-        _write(out_fd, {"failed": str(failed)})
+        write(out_fd, failed=str(failed))
     except BrokenPipeError:
         pass
     finally:
@@ -304,23 +306,17 @@ def _send(chased: Chase, out_fd: int) -> None:
     """Write the legs and texts that the chase has made."""
     legs = chased.take_legs()
     for text in chased.take_texts():
-        _write(out_fd, {"text": text})
+        write(out_fd, text=text)
     for leg in legs:
-        _write(
+        write(
             out_fd,
-            {
-                "op": "follow",
-                "instant_ns": leg.instant_ns,
-                "show_s": round(leg.show_s, 7),
-                "rate": round(leg.rate, 8),
-                "source": chased.source or "timecode",
-                "state": chased.state.value,
-            },
+            op="follow",
+            instant_ns=leg.instant_ns,
+            show_s=round(leg.show_s, 7),
+            rate=round(leg.rate, 8),
+            source=chased.source or "timecode",
+            state=chased.state.value,
         )
-
-
-def _write(out_fd: int, values: dict[str, object]) -> None:
-    os.write(out_fd, json.dumps(values).encode() + b"\n")
 
 
 def _watch_input(ended: threading.Event) -> None:
@@ -331,10 +327,7 @@ def _watch_input(ended: threading.Event) -> None:
 
 
 def main() -> int:
-    out_fd = os.dup(1)
-    os.dup2(2, 1)  # What libraries print must not come between the lines.
-    run(read_spec(sys.argv[1]), out_fd)
-    return 0
+    return serve(run)
 
 
 if __name__ == "__main__":

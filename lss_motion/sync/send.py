@@ -27,6 +27,7 @@ import numpy as np
 from lss_motion.clock_leg import ClockLeg
 from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.sync import midi, mtc, packets
+from lss_motion.sync.child import serve, write
 from lss_motion.sync.ltc import levels
 from lss_motion.sync.options import SendSpec
 from lss_motion.sync.receive import SourceError
@@ -349,15 +350,16 @@ def read_spec(text: str) -> SendSpec:
     return SendSpec(**{**values, "rate": RATES[values["rate"]]})
 
 
-def run(spec: SendSpec, out_fd: int) -> None:
+def run(argument: str, out_fd: int) -> None:
     """Send until standard input ends, or says that the show is over."""
+    spec = read_spec(argument)
     show, rest = ShowNow(spec.show), b""
     try:
         sender = SENDERS[spec.kind](spec, show)
     except SourceError as failed:
-        os.write(out_fd, json.dumps({"failed": str(failed)}).encode() + b"\n")
+        write(out_fd, failed=str(failed))
         return
-    os.write(out_fd, json.dumps({"ready": sender.text}).encode() + b"\n")
+    write(out_fd, ready=sender.text)
     with prompt_waits():
         while not show.is_ended:
             wait_s = sender.turn(time.monotonic_ns())
@@ -373,10 +375,7 @@ def run(spec: SendSpec, out_fd: int) -> None:
 
 
 def main() -> int:
-    out_fd = os.dup(1)
-    os.dup2(2, 1)  # What libraries print must not come between the lines.
-    run(read_spec(sys.argv[1]), out_fd)
-    return 0
+    return serve(run)
 
 
 if __name__ == "__main__":
