@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
-from lss_motion.files.output import write_output
+from lss_motion.files.output import user_folder, write_output
 from lss_motion.files.source import counted, read_data
 from lss_motion.sequence.functions import calls_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from lss_motion.sequence.functions import Call
     from lss_motion.sequence.model import Cue
@@ -70,11 +69,7 @@ def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:
 
 def state_directory() -> Path:
     """Return the folder of what the program remembers, of the user or `LSS_MOTION_STATE_DIR`."""
-    if chosen := os.environ.get(DIRECTORY_VARIABLE):
-        return Path(chosen)
-    import platformdirs
-
-    return Path(platformdirs.user_state_dir("lss_motion", appauthor=False))
+    return user_folder(DIRECTORY_VARIABLE, "state")
 
 
 def _digest(path: Path, calls: Sequence[Call]) -> str:

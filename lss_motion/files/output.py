@@ -13,7 +13,7 @@ import stat
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from lss_motion.errors import InputError
 
@@ -209,3 +209,13 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(folder_fd)
         finally:
             os.close(folder_fd)
+
+
+def user_folder(variable: str, kind: Literal["cache", "state"], *below: str) -> Path:
+    """Return the folder that an environment variable names, else one `below` the user's own."""
+    if chosen := os.environ.get(variable):
+        return Path(chosen)
+    import platformdirs
+
+    own = {"cache": platformdirs.user_cache_path, "state": platformdirs.user_state_path}[kind]
+    return own("lss_motion", appauthor=False).joinpath(*below)

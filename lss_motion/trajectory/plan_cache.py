@@ -13,7 +13,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import tempfile
 import tokenize
 import zipfile
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 
 from lss_motion.errors import InputError
+from lss_motion.files.output import user_folder
 from lss_motion.files.source import read_data
 from lss_motion.trajectory.model import (
     AskedSpan,
@@ -93,11 +93,7 @@ class _MissError(Exception):
 
 def cache_directory() -> Path:
     """Return the folder of the plans: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
-    if chosen := os.environ.get(DIRECTORY_VARIABLE):
-        return Path(chosen)
-    import platformdirs
-
-    return Path(platformdirs.user_cache_dir("lss_motion", appauthor=False)) / "plans"
+    return user_folder(DIRECTORY_VARIABLE, "cache", "plans")
 
 
 def cached(
