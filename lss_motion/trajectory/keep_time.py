@@ -43,7 +43,7 @@ from lss_motion.trajectory.model import (
 from lss_motion.trajectory.path import Path, concatenate, peaks
 from lss_motion.trajectory.retime import Layout, laid_out, scaled
 from lss_motion.trajectory.smoothing import JERK_SLACK, jerk_limits, limited
-from lss_motion.trajectory.tracks import ParallelPass, verified
+from lss_motion.trajectory.tracks import ParallelPass, of_passes, verified
 from lss_motion.trajectory.verify import verify
 
 if TYPE_CHECKING:
@@ -264,14 +264,9 @@ def _assembled(layout: Layout, joints: Sequence[JointFollower]) -> Trajectory:
     given_up, asked = _given_up(joints)
     commands, left_out = _commands(layout, joints)
     given_up = tuple(sorted((*given_up, *left_out), key=lambda span: span.from_s))
-    return Trajectory(
-        name=sequence.name,
-        joints=tuple(layout.keys),
-        first=motions[0],
-        middle=motions[len(motions) // 2],
-        last=motions[-1],
-        loop=sequence.loop,
-        is_periodic=len(motions) > 1,
+    return of_passes(
+        layout,
+        motions,
         given_up=given_up,
         asked=asked,
         commands=commands if sequence.loop == 1 else (),

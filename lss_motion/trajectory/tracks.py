@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -172,20 +172,24 @@ def _assembled(
             strict=True,
         )
     ]
-    trajectory = Trajectory(
-        name=sequence.name,
+    trajectory = of_passes(layout, motions, stretched=stretched, marks=marks)
+    if sequence.timing is Timing.FIT and not layout.is_timed:
+        return slowed_to(trajectory, sequence.fit_duration_s or 0.0)
+    return trajectory
+
+
+def of_passes(layout: Layout, motions: Sequence[PathMotion], **details: Any) -> Trajectory:  # noqa: ANN401
+    """Return the trajectory of a sequence by the motions of its passes that differ."""
+    return Trajectory(
+        name=layout.sequence.name,
         joints=tuple(layout.keys),
         first=motions[0],
         middle=motions[len(motions) // 2],
         last=motions[-1],
-        loop=sequence.loop,
+        loop=layout.sequence.loop,
         is_periodic=len(motions) > 1,
-        stretched=stretched,
-        marks=marks,
+        **details,
     )
-    if sequence.timing is Timing.FIT and not layout.is_timed:
-        return slowed_to(trajectory, sequence.fit_duration_s or 0.0)
-    return trajectory
 
 
 def _fitted(sequence: Show, robot: Robot) -> Trajectory:
