@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,31 +33,39 @@ ALONE_MAX = 4
 
 def main(names: list[str]) -> int:
     """Run the named steps, or all; return 1 if one failed."""
-    steps: dict[str, Callable[[], bool]] = {
-        "format": lambda: _run("ruff", "format", "--check", "--quiet", "."),
-        "lint": lambda: _run("ruff", "check", "--quiet", "."),
-        "types": lambda: _run("mypy"),
-        "imports": lambda: _run("lint-imports", "--no-cache") and _obeys(import_cycles),
-        "size": lambda: _obeys(sizes),
-        "prose": lambda: _obeys(prose, citations),
-        "tests": _tests,
-        "readme": _readme,
-        "guides": _guides,
-        "figures": _figures,
-    }
-    if unknown := set(names) - set(steps):
-        print(f"no such step: {', '.join(sorted(unknown))}; there are {', '.join(steps)}")
+    # The steps of a group run at the same time; the tests have both processors of a small machine.
+    groups: list[dict[str, Callable[[], bool]]] = [
+        {
+            "format": lambda: _run("ruff", "format", "--check", "--quiet", "."),
+            "lint": lambda: _run("ruff", "check", "--quiet", "."),
+            "types": lambda: _run("mypy"),
+            "imports": lambda: _run("lint-imports", "--no-cache") and _obeys(import_cycles),
+            "size": lambda: _obeys(sizes),
+            "prose": lambda: _obeys(prose, citations),
+        },
+        {"tests": _tests},
+        {"readme": _readme, "guides": _guides},
+        {"figures": _figures},
+    ]
+    known = [name for steps in groups for name in steps]
+    if unknown := set(names) - set(known):
+        print(f"no such step: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
         return 2
-    failed = []
-    for name, step in steps.items():
-        if names and name not in names:
-            continue
-        started = time.monotonic()
-        is_good = step()
-        print(f"{'ok    ' if is_good else 'FAILED'} {name} ({time.monotonic() - started:.1f} s)")
-        if not is_good:
-            failed.append(name)
-    return 1 if failed else 0
+    is_good = True
+    for steps in groups:
+        chosen = [name for name in steps if not names or name in names]
+        with ThreadPoolExecutor() as pool:
+            results = list(pool.map(_step, chosen, [steps[name] for name in chosen]))
+        is_good = is_good and all(results)
+    return 0 if is_good else 1
+
+
+def _step(name: str, step: Callable[[], bool]) -> bool:
+    """Run a step and print how it ended; return whether it is good."""
+    started = time.monotonic()
+    is_good = step()
+    print(f"{'ok    ' if is_good else 'FAILED'} {name} ({time.monotonic() - started:.1f} s)")
+    return is_good
 
 
 def _run(*command: str) -> bool:
