@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from benches.shows import lively_show, robot_of
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.trajectory.planner import plan
@@ -85,6 +86,16 @@ def test_lateness_is_the_least_holds_are_kept_and_nothing_is_early(first: int) -
             least_s = least_lateness(show, robot, PACE)
             allowed_s = RATIO * sum(least_s[frame.at_s or 0.0] for frame in show.keyframes) + SUM_S
             assert sum(late_s) <= allowed_s, seed
+
+
+def test_a_show_of_many_joints_that_is_late_again_and_again_is_never_early() -> None:
+    """Here a slow part follows where the motion is on time, and braking cannot end before it."""
+    robot = robot_of(18)
+    trajectory = plan(lively_show(robot, 45.0, seed=1, infeasible_ratio=0.3), robot)
+    late_s = late_of(trajectory)
+    assert max(late_s) > 0.1
+    assert min(late_s) > -1e-5
+    assert trajectory.duration_s == pytest.approx(45.0, abs=1e-5)
 
 
 def test_every_anchor_that_a_fine_grid_can_meet_is_met() -> None:
