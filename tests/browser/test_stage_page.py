@@ -54,6 +54,8 @@ def test_cues_are_fired_enabled_and_armed_on_the_page_of_a_stage(
         page.wait("document.querySelector('.stage-state').textContent.includes('scare')")
         # Times and curves are those of the show that plays.
         page.wait("document.querySelector('.clock-of').textContent === 'of 0:03.0'")
+        focus = page.run("document.activeElement === document.body")
+        assert focus, "Enter is GO, not a second fire"
         page.click("[data-stage-cue=door] input")
         page.wait("document.querySelector('[data-stage-cue=door]').className === 'past'")
         page.wait(f"{WORD} === 'idle'")

@@ -63,11 +63,22 @@ export function actionOf(name, page) {
  * @param {string} name
  */
 export function keepsKey(element, name) {
-  if (element === null) return false;
+  if (element === null || element.matches(":disabled")) return false;
   if (element.closest("dialog") !== null) return true;
   if (element.matches("textarea, select, input:not([type=range])")) return true;
   if (element.matches("input[type=range]")) return name.includes("Arrow") || name === "Home" || name === "End";
   // Space never means GO, also where the GO button has the focus.
   if (name === "Space" && element.matches("[data-go]")) return false;
   return (name === "Space" || name === "Enter") && element.matches("button, a, summary, [role=tab]");
+}
+
+/**
+ * Give the keys back to the page after a click by a pointer: Enter is GO then, and does not press the
+ * clicked button once more. Who presses a button by a key keeps the focus there.
+ * @param {MouseEvent} event
+ */
+export function releaseFocus(event) {
+  const element = document.activeElement;
+  if (event.detail === 0 || !(element instanceof HTMLElement) || element.closest("dialog") !== null) return;
+  if (element.matches("button, summary, input[type=checkbox], input[type=radio]")) element.blur();
 }

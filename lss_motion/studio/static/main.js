@@ -3,7 +3,7 @@
 
 import { html, render, useState, useEffect } from "./vendor/preact.js";
 import { Actions } from "./actions.js";
-import { actionOf, keepsKey, keyName } from "./keymap.js";
+import { actionOf, keepsKey, keyName, releaseFocus } from "./keymap.js";
 import { ServerLink } from "./link.js";
 import { Dialogs } from "./parts/dialogs.js";
 import { Entry } from "./parts/entry.js";
@@ -56,6 +56,8 @@ window.addEventListener("keydown", (event) => {
   if (event.repeat && ["toggle", "go"].includes(action)) return;
   actions.run(action);
 });
+
+window.addEventListener("click", releaseFocus);
 
 store.select((state) => state.theme).subscribe((theme) => {
   document.documentElement.dataset["theme"] = theme;
