@@ -23,7 +23,7 @@ from lss_motion.perform import (
     make_clock,
 )
 from lss_motion.player.events import Warned
-from lss_motion.player.query_choice import BY_NEED
+from lss_motion.player.query_choice import ON_STAGE
 from lss_motion.player.repertoire import Repertoire
 from lss_motion.player.stage_player import StagePlayer
 from lss_motion.runtime.real_time import real_time
@@ -69,7 +69,7 @@ def perform_stage(  # noqa: PLR0913  (the options of one run)
     must_ask: bool = False,
     may_run: bool = False,
     is_forced: bool = False,
-    pace: Pace | None = BY_NEED,
+    pace: Pace | None = ON_STAGE,
     sound: SoundChoice | None = None,
     deviation: Deviation | None = None,
     is_recorded: bool = True,

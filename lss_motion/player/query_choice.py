@@ -89,11 +89,20 @@ class Pace:
     steady_hz: float
     strayed_hz: float
     """While the joint strays, is in doubt, or is not corrected yet."""
+    resting_hz: float | None = None
+    """Of a joint that has stood in its place for `RESTED_NS`, with one query about its health each
+    time; None: as `steady_hz`."""
 
 
 BY_NEED: Final = Pace(10.0, 20.0)
 """Measured over a walk, a lively show, and a show under load (FACTS.md N13): below 5 a second lost
 moves and loads are found late, above 20 no horn follows better."""
+ON_STAGE: Final = Pace(10.0, 20.0, resting_hz=3.0)
+"""Chosen: a figure rests for most of an evening. A joint that is pushed is polled as one that
+strays from the next reading on, and a servo that restarts, which takes 1.25 s, leaves three queries
+unanswered."""
+RESTED_NS: Final = 2 * NS_PER_S
+"""Longer than the corrections at rest need (`standing.STEADY_S`, `standing.PUSH_S`)."""
 
 
 def has_strayed(state: JointState) -> bool:
@@ -217,7 +226,13 @@ class QueryChoice(ABC):
         return 0 if state.health_ns is None else state.health_ns + self._health_period_ns(state)
 
     def _health_period_ns(self, state: JointState) -> int:
+        if (resting_ns := self._resting_ns(state)) is not None:
+            return resting_ns
         return HEALTH_NS // 2 if self._watch.keywords(state.joint.name) else HEALTH_NS
+
+    def _resting_ns(self, state: JointState) -> int | None:  # noqa: ARG002
+        """Return the period of queries to a servo that rests in its place; None: it does not."""
+        return None
 
     def _priority_word(self, bus: str, state: JointState, now_ns: int) -> str | None:
         """Return the keyword of a query that comes before any other to this servo; None: none.
@@ -291,6 +306,9 @@ class ByNeed(QueryChoice):
         super().__init__(polled)
         self._steady_ns = ns_from_s(1.0 / pace.steady_hz)
         self._strayed_ns = ns_from_s(1.0 / pace.strayed_hz)
+        self._since_ns: dict[str, int] = {}
+        """By joint, when it was first queried for its angle here."""
+        self._rested_ns = None if pace.resting_hz is None else ns_from_s(1.0 / pace.resting_hz)
         self._rounds = {
             bus: _Round(states, [0.0] * len(states), set(range(len(states))), [None] * len(states))
             for bus, states in polled.by_bus.items()
@@ -381,7 +399,19 @@ class ByNeed(QueryChoice):
         return max(due_ns, self._quiet_until_ns(bus, state))
 
     def _place_period_ns(self, state: JointState) -> int:
-        return self._strayed_ns if has_strayed(state) else self._steady_ns
+        return self._resting_ns(state) or (
+            self._strayed_ns if has_strayed(state) else self._steady_ns
+        )
+
+    def _resting_ns(self, state: JointState) -> int | None:
+        place_ns = self._places_ns.get(state.joint.name)
+        if self._rested_ns is None or place_ns is None:
+            return None
+        since_ns = self._since_ns.setdefault(state.joint.name, place_ns)
+        has_moved = place_ns < max(since_ns, state.last_arrival_ns or 0) + RESTED_NS
+        if has_moved or has_strayed(state) or not state.is_at_rest(place_ns):
+            return None
+        return self._rested_ns
 
     def _words(self, bus: str, state: JointState, now_ns: int, *, is_alone: bool) -> list[str]:
         """Return what a servo is asked in one visit, in reverse order.

@@ -23,7 +23,7 @@ from lss_motion.player.approach import approach_s
 from lss_motion.player.cues import SensorWatch
 from lss_motion.player.events import Phase, ShowBegan, ShowOver, Warned
 from lss_motion.player.player import DRIVING, PLAYING, Player
-from lss_motion.player.query_choice import BY_NEED
+from lss_motion.player.query_choice import ON_STAGE
 from lss_motion.player.show_summary import summary_of
 from lss_motion.units import s_from_ns
 
@@ -73,7 +73,7 @@ class StagePlayer(Player):
         has_feedback: bool = True,
         must_ask: bool = False,
         is_forced: bool = False,
-        pace: Pace | None = BY_NEED,
+        pace: Pace | None = ON_STAGE,
     ) -> None:
         """Begin with `first`; None: all joints hold where they are. The others: see `Player`."""
         if first is not None:

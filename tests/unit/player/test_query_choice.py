@@ -11,6 +11,8 @@ from lss_motion.player.query_choice import (
     BY_NEED,
     HEALTH_LEAST,
     HEALTH_NS,
+    ON_STAGE,
+    RESTED_NS,
     RIDE_RATIO,
     STRAYED_DEG,
     UNCORRECTED_DEG,
@@ -45,6 +47,27 @@ def test_angles_are_queried_at_the_pace_and_health_four_times_a_second(kit):
 def test_a_pace_of_one_reading_a_second_is_kept_too(kit):
     desk = by_need(*joints(kit, 2), pace=Pace(1.0, 2.0)).run(0, 6 * S + 1)
     assert len(asked(desk, "QD", from_ns=KNOWN_NS)) in (6, 7)
+
+
+def test_on_a_stage_a_joint_that_rests_is_polled_less_until_it_is_pushed(kit):
+    first, second = joints(kit, 2)
+    desk = by_need(first, second, pace=ON_STAGE).run(0, RESTED_NS + 8 * S)
+    begin_ns = RESTED_NS + S
+    early = [at_ns for at_ns in asked(desk, "QD", from_ns=0) if at_ns < RESTED_NS]
+    assert len(early) == pytest.approx(2 * ON_STAGE.steady_hz, abs=2)
+    for word in ("QD", "Q", "QT"):
+        later = asked(desk, word, from_ns=begin_ns)
+        assert len(later) == pytest.approx(7 * ON_STAGE.resting_hz * SHARES[word], abs=2)
+    pushed_ns = RESTED_NS + 8 * S
+    desk.values[1, "QD"] = 60
+    desk.run(pushed_ns, pushed_ns + 2 * S)
+    near = asked(desk, "QD", from_ns=pushed_ns)
+    assert near[0] - pushed_ns < 0.4 * S
+    assert len(near) > 1.4 * ON_STAGE.strayed_hz
+    assert len(asked(desk, "QD", 2, from_ns=pushed_ns)) < 3 * ON_STAGE.resting_hz
+
+
+SHARES = {"QD": 1.0, "Q": 1 / 2, "QT": 1 / 6}
 
 
 def strayed(state, desk):
