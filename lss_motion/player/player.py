@@ -54,8 +54,8 @@ if TYPE_CHECKING:
 
 
 IDLE_NS: Final = 20 * NS_PER_MS
-"""The player is called at least this often, since a person may press a key, and telemetry may be
-due, while nothing of the show is."""
+"""The player is called at least this often (`Player.idle_ns`), since a person may press a key, and
+telemetry may be due, while nothing of the show is."""
 COUNT_IN_NS: Final = 200 * NS_PER_MS
 """Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
 (13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
@@ -98,7 +98,7 @@ class Player:
         self.error: LssMotionError | None = None
         """Why the show could not begin or go on, where no joint is the cause."""
         self.show: Streamer | None = None
-        """The show itself, once it has begun."""
+        """The show itself, once it has begun; before that `moving` is its approach."""
         self.show_ended_ns: int | None = None
         self.changes = 0
         """How often another program has taken the place of the one before it."""
@@ -125,8 +125,8 @@ class Player:
         """Whether the settings are set for the second time, since the first time took long."""
         self._has_set = False
         """Whether orders may have changed settings of the servos."""
-        self._has_moved = False
-        self._stops = 0
+        self._has_moved, self._stops = False, 0
+        self.idle_ns = IDLE_NS
         self._now_ns = 0
         self._ended_ns: int | None = None
         """When the show had ended but for its goal tolerances."""
@@ -164,7 +164,7 @@ class Player:
         wakeup_ns = None
         if self.phase is not Phase.DONE:
             due_ns = min((w for w in self._wakeups_ns() if w is not None), default=None)
-            idle_ns = self._now_ns + IDLE_NS
+            idle_ns = self._now_ns + self.idle_ns
             wakeup_ns = idle_ns if due_ns is None else min(max(due_ns, self._now_ns), idle_ns)
         self._stalls.expect(wakeup_ns)
         return wakeup_ns
@@ -225,6 +225,10 @@ class Player:
         return self.phase is Phase.DONE
 
     @property
+    def moving(self) -> Streamer | None:
+        return self.show or self._streamer
+
+    @property
     def is_paused(self) -> bool:
         """Whether a person has paused the show."""
         return self._rate == 0.0
@@ -280,10 +284,8 @@ class Player:
 
         Also before the approach: then the show waits when it has come to its start.
         """
-        self._rate = 0.0
-        if self.show is None:
-            self._is_held = True
-        elif self.phase is Phase.SHOW:
+        self._rate, self._is_held = 0.0, self.show is None
+        if self.show is not None and self.phase is Phase.SHOW:
             self.show.hold_before_start(now_ns)
 
     def run_from(self, show_s: float, now_ns: int) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lss_motion.player.following import Following
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
+    from lss_motion.player.streamer import Streamer
     from lss_motion.remote.operator_end import Operator
 
 OnLost = Literal["stop", "hold", "go_on"]
@@ -74,6 +75,7 @@ class Steering:
         self._applied = (1.0, False)
         self._rated_ns = -RATE_EVERY_NS
         self._telemetry_ns = self._health_ns = 0
+        self._shown_s = 0.0
         self._plan = b""
         self._use: dict[str, tuple[int, int, int]] = {}
 
@@ -214,8 +216,9 @@ class Steering:
         if now_ns >= self._telemetry_ns:
             self._telemetry_ns = now_ns + TELEMETRY_NS
             operator.look_for_client()
-            if player.show is not None and not operator.link.is_full:
-                self._offer_telemetry(player, now_ns)
+            moving = player.moving
+            if moving is not None and not operator.link.is_full:
+                self._offer_telemetry(player, moving, now_ns)
         if now_ns >= self._health_ns:
             self._health_ns = now_ns + HEALTH_NS
             if not operator.link.is_full:
@@ -230,17 +233,18 @@ class Steering:
         """Send the last event."""
         self.operator.send(message)
 
-    def _offer_telemetry(self, player: Player, now_ns: int) -> None:
-        show = player.show
-        assert show is not None
-        planned = show.all_pose_deg(now_ns)
-        angles = [
-            (planned[name], *_seen_deg(state, now_ns)) for name, state in show.all_states().items()
-        ]
-        rate, show_s = show.clock.rate(now_ns), show.show_s(now_ns)
-        self.operator.link.offer(
-            Kind.TELEMETRY, Telemetry(self._plan, show_s, rate, angles).to_bytes()
-        )
+    def _offer_telemetry(self, player: Player, moving: Streamer, now_ns: int) -> None:
+        """Send the angles; on the way to a show, its clock stands where the last one was."""
+        planned, states = moving.all_pose_deg(now_ns), moving.all_states()
+        names = player.program.start_deg
+        if any(name not in states for name in names):
+            return  # An approach does not lead joints that are left out.
+        angles = [(planned[name], *_seen_deg(states[name], now_ns)) for name in names]
+        rate = 0.0
+        if player.show is not None:
+            rate, self._shown_s = player.show.clock.rate(now_ns), player.show.show_s(now_ns)
+        telemetry = Telemetry(self._plan, self._shown_s, rate, angles)
+        self.operator.link.offer(Kind.TELEMETRY, telemetry.to_bytes())
 
     def _health(self, player: Player, now_ns: int) -> m.Health:
         show = player.show

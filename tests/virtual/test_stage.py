@@ -26,6 +26,7 @@ from lss_motion.remote.shows_job import ShowsJob, ShowsSteering, play_shows
 from lss_motion.remote.telemetry import Telemetry
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.sim.deviation import Deviation
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.stage_run import perform_stage
 from tests.joints import joint
@@ -331,6 +332,8 @@ def test_a_client_changes_shows_from_another_process():
     assert "did you mean 'hello'" in answers[2].text
     telemetry = [Telemetry.from_bytes(c) for kind, c in got if kind is Kind.TELEMETRY]
     assert {len(one.angles_deg) for one in telemetry} == {len(figure().joints)}
+    on_the_way = [one for one in telemetry if one.rate == 0.0]
+    assert np.ptp([one.angles_deg[0][0] for one in on_the_way]) > 5.0, "also between two shows"
     eyes = next(i for i, name in enumerate(events[0].joints) if name == "j2")
     assert np.ptp([one.angles_deg[eyes][0] for one in telemetry]) > 10.0, "that of the added show"
 
@@ -370,6 +373,29 @@ def test_random_evenings_with_faults_break_no_limit(seed):
     assert evening.phases[-1][1] is Phase.DONE
     begun = sorted(event.name for event in evening.events if isinstance(event, ShowBegan))
     assert sorted(one.name for one in evening.summaries) == begun, "each show is reported"
+
+
+@pytest.mark.parametrize("at_s", [7.0, 7.2])
+def test_a_push_of_a_joint_that_has_rested_for_long_is_noticed_within_a_second(at_s):
+    seen_s = []
+
+    class Look(Evening):
+        def act(self, driven, now_ns):
+            super().act(driven, now_ns)
+            states = {} if driven.show is None else driven.show.joint_states
+            if not seen_s and any(one.standing.is_pushed for one in states.values()):
+                seen_s.append(now_ns / S)
+
+    watch = Look([(12.0, stop)])
+    pushed = Deviation(push_deg=4.0, push_at_s=at_s, push_for_s=1.0)
+    result = perform_stage(
+        shows(), figure(), is_virtual=True, deviation=pushed, is_recorded=False,
+        observer=Observer(controls=watch, make_tap=lambda _: watch),
+    )  # fmt: skip
+    assert result.report.outcome == "stopped"
+    assert at_s < seen_s[0] < at_s + 0.7
+    queries = sum(data.count(b"Q") for ns, data in watch.writes["main"] if 4 * S < ns < 7 * S)
+    assert queries < 100, "four joints at rest: three angles and three of health a second"
 
 
 def test_a_restart_while_the_robot_only_stands_is_noticed_and_it_stands_again():
