@@ -1,4 +1,4 @@
-"""Minutes of the weekend of `tools/weekend.py`, in which all comes sixty times as often."""
+"""An hour of the weekend of `tools/weekend.py`, and minutes in which all comes much more often."""
 
 from __future__ import annotations
 
@@ -28,13 +28,23 @@ def test_a_weekend_ends_safely_and_every_trigger_is_explained(outcome):
     assert outcome.triggers > 50
 
 
+def test_an_hour_of_the_weekend(tmp_path):
+    """With a servo that falls silent, a hot one, and one that is stuck; the last is a rest."""
+    hour = tool.weekend(1.0, 2, tmp_path, max_bytes=2_000_000)
+    assert tool.faults_of(hour, 2_000_000) == []
+    assert hour.looks > 25_000
+    assert hour.plays > 20
+    assert hour.triggers == hour.explained > 25
+    assert len(hour.memory) >= 6
+
+
 def test_what_a_weekend_must_not_show_is_named(outcome):
     bad = replace(
         outcome,
         objections=Counter({"horn 1 moves too fast": 3}),
         explained=outcome.triggers - 1,
         log_bytes=3_000_000,
-        memory=[1, 100, 110, 130],
+        memory=[tool.Memory(hour, 10**8 + 10**8 * hour, 10**6) for hour in range(5)],
     )
     found = "; ".join(tool.faults_of(bad, 2_000_000))
     for words in ("3 x horn 1 moves", "triggers, but", "bytes, allowed", "memory grows"):
