@@ -49,6 +49,7 @@ class Repertoire:
         cues = [cue for one in self.programs.values() for cue in one.cues]
         self._lights = {name for cue in cues for name, _ in cue.led}
         self._functions = {cue.run for cue in cues if cue.run}
+        self._has_sounds = any(cue.sound for cue in cues)
 
     def needs(self, first: Program | None) -> Program:
         """Return what all programs need together, as one program that is checked, not played.
@@ -105,11 +106,20 @@ class Repertoire:
         lacks += [f"sensor {name}" for name in sorted(sensors)]
         lacks += [f"the light of {name}" for name in sorted(lights)]
         lacks += [f"function {name}" for name in sorted(functions)]
+        if not self._has_sounds and any(cue.sound for cue in program.cues):
+            lacks.append("sound")
         if lacks:
             raise InputError(
                 f"show {program.name!r} needs what this run was not prepared for: "
                 f"{'; '.join(lacks)}. Stop the stage and start it with this show"
             )
+
+    def renew(self, programs: Mapping[str, Program]) -> None:
+        """Take newer programs in place of all; raise `InputError`, and take none, as `require`."""
+        renewed = {name: replace(one, name=name) for name, one in programs.items()}
+        for program in renewed.values():
+            self.require(program)
+        self.programs = renewed
 
     def widened(self, program: Program, held_deg: Mapping[str, float]) -> Program:
         """Return `program` with all joints of the run; those that it lacks stay at `held_deg`."""

@@ -42,6 +42,7 @@ class Operator:
         self._is_flooded = False
         self._signals = 0
         self._lost_count = 0
+        self._objects: list[bytes] = []
 
     def filenos(self) -> Sequence[int]:
         """Return what ends a wait; no link that is flooded or closed."""
@@ -60,6 +61,11 @@ class Operator:
     def take(self, now_ns: int) -> list[m.AnyOperation]:
         """Return the operations since the last call, stops first; refuse what is none."""
         return sorted(self._take_stops() + self._take(now_ns), key=_urgency)
+
+    def take_objects(self) -> list[bytes]:
+        """Return the pickled objects since the last call; the other end is our own program."""
+        objects, self._objects = self._objects, []
+        return objects
 
     def is_lost(self, now_ns: int, silent_s: float | None) -> bool:
         """Return whether the client is gone, or has sent nothing for `silent_s`."""
@@ -106,6 +112,8 @@ class Operator:
         size = 0
         for kind, content in arrived:
             size += len(content)
+            if kind is Kind.OBJECT:
+                self._objects.append(content)
             if kind is not Kind.OPERATION:
                 continue
             try:

@@ -18,7 +18,6 @@ answer about a show that was left is never taken for the next one.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
@@ -26,12 +25,13 @@ from lss_motion.files.source import known_names
 from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import Cue, Kind, Signal, Trigger
+from lss_motion.stage.orders import Playing, ShowInfo, Waiting
 from lss_motion.stage.time_of_day import CronClock
 from lss_motion.stage.triggers import FREEWHEEL_S, Bags, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from datetime import datetime
     from random import Random
 
@@ -59,47 +59,6 @@ OPERATOR: Final = "operator"
 OPERATOR_PRIORITY: Final = 100
 ENDLESS_S: Final = float("inf")
 
-LEAST_PRIORITY: Final = -101
-"""Below that of any cue: of the idle show."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowInfo:
-    """What the director knows of a show."""
-
-    joints: frozenset[str]
-    duration_s: float
-    """Infinite for a show that loops forever."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Playing:
-    """A show that was ordered."""
-
-    number: int
-    show: str
-    cue: Cue | None
-    """None: the idle show, or the way to the rest."""
-    since_ns: int
-    is_rest: bool = False
-    resumes: bool = False
-    """It is resumed when what interrupted it is over."""
-    is_ready: bool = False
-    """It stands at its beginning, and waits for the timecode."""
-
-    @property
-    def priority(self) -> int:
-        return LEAST_PRIORITY if self.cue is None else self.cue.priority
-
-
-@dataclass(slots=True)
-class Waiting:
-    """A show that waits: queued, or interrupted at a show time."""
-
-    show: str
-    cue: Cue
-    show_s: float | None = None
-
 
 class Director:
     """The shows and cues of one stage, or of one figure of it."""
@@ -126,13 +85,10 @@ class Director:
         self.armed: str | None = None
         self._bags = Bags(random)
         self._triggers = Triggers(stage.cues)
-        self._cron = CronClock(
-            (cue.on.address for cue in stage.cues if cue.on.kind is Kind.TIME), stage.zone
-        )
-        durations_s = {name: info.duration_s for name, info in self.shows.items()}
+        self._cron = CronClock(times_of(stage), stage.zone)
         given = stage.sync.timecode
         freewheel_s = FREEWHEEL_S if given is None else given.freewheel_s
-        self.timecode = TimecodeCues(stage.cues, durations_s, freewheel_s)
+        self.timecode = TimecodeCues(stage.cues, self._durations_s(), freewheel_s)
         self._orders: deque[orders.Order | orders.Note] = deque()
         self._leaving: dict[int, Playing] = {}
         self._until_ns: dict[str, int | None] = {}
@@ -154,6 +110,31 @@ class Director:
         if start_at is not None:
             self.duty.start_at = start_at
             self.duty.begin(Reason.START_AT, f"({start_at:%Y-%m-%d %H:%M:%S})")
+
+    def renew(self, stage: Stage, shows: Mapping[str, ShowInfo], changed: set[str]) -> None:
+        """Go on with newer files, while the figure `is_free`; of these shows they have new ones."""
+        self.stage, self.shows = stage, dict(shows)
+        self.enabled = {c.name: self.enabled.get(c.name, c.is_enabled) for c in stage.cues}
+        self.armed = self.armed if stage.cue(self.armed or "") is not None else None
+        self.duty.renew(stage)
+        self._bags.forget()
+        self._triggers.cues = stage.cues
+        self._cron.watch(times_of(stage), stage.zone)
+        self.timecode.renew(stage.cues, self._durations_s())
+        is_same = self.main is None or (self.main.show == stage.idle and stage.idle not in changed)
+        if not is_same and not self._rests:
+            self._leave_all()
+            self._orders.append(orders.Stop())
+        self._settle()
+
+    def _durations_s(self) -> dict[str, float]:
+        return {name: info.duration_s for name, info in self.shows.items()}
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing plays for a cue, or waits to be played."""
+        is_idle = self.main is None or self.main.cue is None
+        return is_idle and not (self.added or self.queue or self.left)
 
     # ---- what is to be done
 
@@ -215,8 +196,7 @@ class Director:
 
         None: there is none, or another cue plays. 0 s: it is to wait, since there is no timecode.
         """
-        is_free = self.main is None or self.main.cue is None
-        if not is_free or self.added or self.queue or self.left or not self.is_connected:
+        if not (self.is_free and self.is_connected):
             return None
         found = self.timecode.coming(now_ns)
         if found is None and not self.timecode.has_position:
@@ -698,3 +678,8 @@ class Director:
         if reasons != self._reasons:
             self._reasons = reasons
             self._orders.append(orders.RestChanged(tuple(self.duty.reasons.values())))
+
+
+def times_of(stage: Stage) -> Iterator[str]:
+    """Yield the times of day at which cues fire."""
+    return (cue.on.address for cue in stage.cues if cue.on.kind is Kind.TIME)

@@ -67,6 +67,11 @@ class Duty:
         self._current_a: float | None = None
         self._current_ns = 0
 
+    def renew(self, stage: Stage) -> None:
+        """Go on with other rules; what was counted and begun stays."""
+        self._rule = stage.duty
+        self.faults.rule = stage.retry
+
     # ---- what happens
 
     def begin(self, reason: Reason, detail: str = "") -> None:
@@ -179,20 +184,20 @@ class Attempts:
     """How often the stage has begun again after faults, and whether it may once more."""
 
     def __init__(self, rule: Retry) -> None:
-        self._rule = rule
+        self.rule = rule
         self._past: deque[tuple[int, Cause | None]] = deque()
 
     def wait_s(self, cause: Cause | None, now_ns: int) -> float | None:
         """Note a fault; return how long to wait before the next attempt, None: make none."""
-        within_ns = ns_from_s(self._rule.within_s)
+        within_ns = ns_from_s(self.rule.within_s)
         while self._past and now_ns - self._past[0][0] > within_ns:
             self._past.popleft()
         of_kind = sum(past is cause for _, past in self._past)
-        allowed = 0 if cause is None else self._rule.attempts.get(cause, 0)
-        if of_kind >= allowed or len(self._past) >= self._rule.total:
+        allowed = 0 if cause is None else self.rule.attempts.get(cause, 0)
+        if of_kind >= allowed or len(self._past) >= self.rule.total:
             return None
         self._past.append((now_ns, cause))
-        return min(self._rule.wait_s * 2.0**of_kind, max(self._rule.wait_s, WAIT_MAX_S))
+        return min(self.rule.wait_s * 2.0**of_kind, max(self.rule.wait_s, WAIT_MAX_S))
 
     def forget(self) -> None:
         """Begin anew, since a person has looked."""

@@ -8,6 +8,7 @@ the triggers and wishes of the client to the director, and sends what the stage 
 from __future__ import annotations
 
 import contextlib
+import pickle
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from lss_motion.stage.model import Stage
     from lss_motion.stage.running import Record
 
+RENEW_MAX_BYTES: Final = 1_000_000
+"""Chosen: read in some 20 ms, by which no move is late that matters; an hour of six joints."""
 STATE_NS: Final = NS_PER_S
 """The state is sent this often, and after each note."""
 
@@ -184,7 +187,22 @@ class StageSteering(Steering):
             super().act(player, now_ns)
         else:
             self._act_alone(now_ns)
+        for job in self.operator.take_objects():
+            self._renew(job, player)
         self._state(now_ns)
+
+    def _renew(self, job: bytes, player: Player | None) -> None:
+        """Go on with newer files, or note why the stage must begin anew for them."""
+        assert self._run is not None
+        if len(job) > RENEW_MAX_BYTES:
+            reason = f"they have {len(job) / 1e6:.1f} MB, too much to be read beside moves"
+            self._run.record("must_restart", f"new files; the stage begins anew: {reason}")
+            return
+        newer: StageJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
+        kind, text = self._run.renew(newer.planned, player)
+        self._run.record(kind, text)
+        if kind == "renewed":
+            self._hashes = {name: plan_hash(one).hex() for name, one in self._run.programs.items()}
 
     def _watch(self, player: Player, now_ns: int) -> None:
         """End the stage when the server is gone: nothing could ever end it, and it has no end."""

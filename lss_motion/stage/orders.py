@@ -1,5 +1,7 @@
 """What the director orders, and what it notes; `Director.next_order` returns the oldest first.
 
+What it has ordered, and what waits, are `Playing` and `Waiting`.
+
 Orders are obeyed by whoever has the player (`stage.running`). Notes go to the log and to operators:
 `text` says in a line what happened and why.
 """
@@ -7,7 +9,10 @@ Orders are obeyed by whoever has the player (`stage.running`). Notes go to the l
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+
+if TYPE_CHECKING:
+    from lss_motion.stage.model import Cue
 
 How = Literal["change", "add"]
 Outcome = Literal["finished", "left", "fault"]
@@ -151,3 +156,45 @@ Note: TypeAlias = (
     CueFired | CueRefused | ShowRefused | ShowStarted | ShowEnded | RestChanged | Noted
 )
 Order: TypeAlias = Play | Stop | Relax | Rate | Connect | Alert
+
+
+LEAST_PRIORITY: Final = -101
+"""Below that of any cue: of the idle show."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowInfo:
+    """What the director knows of a show."""
+
+    joints: frozenset[str]
+    duration_s: float
+    """Infinite for a show that loops forever."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Playing:
+    """A show that was ordered."""
+
+    number: int
+    show: str
+    cue: Cue | None
+    """None: the idle show, or the way to the rest."""
+    since_ns: int
+    is_rest: bool = False
+    resumes: bool = False
+    """It is resumed when what interrupted it is over."""
+    is_ready: bool = False
+    """It stands at its beginning, and waits for the timecode."""
+
+    @property
+    def priority(self) -> int:
+        return LEAST_PRIORITY if self.cue is None else self.cue.priority
+
+
+@dataclass(slots=True)
+class Waiting:
+    """A show that waits: queued, or interrupted at a show time."""
+
+    show: str
+    cue: Cue
+    show_s: float | None = None

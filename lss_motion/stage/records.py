@@ -48,6 +48,12 @@ class Records:
         self._refusals: dict[tuple[str, str], list[int]] = {}
         self._counted_ns: int | None = None
 
+    def renew(self, stage: Stage) -> None:
+        """Go on with a newer stage file."""
+        self._stage = stage
+        for cue in stage.cues:
+            self._about.setdefault(cue.name, CueState())
+
     def note(self, kind: str, text: str, **more: object) -> None:
         """Keep what happened, with the time of day."""
         wall = self._wall().astimezone(self._stage.zone)

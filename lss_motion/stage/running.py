@@ -24,9 +24,10 @@ from lss_motion.robot.on_fault import ENDING, Cause
 from lss_motion.runtime.clock import MonotonicClock
 from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.stage import orders
-from lss_motion.stage.director import Director, ShowInfo
+from lss_motion.stage.director import Director
 from lss_motion.stage.log import Ring
-from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.model import Kind, Signal, Sync
+from lss_motion.stage.orders import ShowInfo
 from lss_motion.stage.playing import Both, Playing
 from lss_motion.stage.records import Records, state_word
 from lss_motion.stage.sending import Sending
@@ -35,12 +36,15 @@ from lss_motion.stage_run import perform_stage
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.player.events import Event, ShowSummary
     from lss_motion.player.player import Player
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
     from lss_motion.runtime.runner import Tap
     from lss_motion.stage.check import Planned
+    from lss_motion.stage.model import Stage
     from lss_motion.stage.sending import Out
     from lss_motion.stage_run import StageResult
     from lss_motion.sync.source import Legs
@@ -151,16 +155,11 @@ class StageRun:
         stage = planned.stage
         self.stage, self.options = stage, options
         self.programs = {name: show.program for name, show in planned.shows.items()}
-        robot = next(iter(planned.shows.values())).robot
-        self.robot = replace(robot, end="limp") if stage.duty.is_limp else robot
-        infos = {
-            name: ShowInfo(joints=frozenset(one.start_deg), duration_s=one.duration_s)
-            for name, one in self.programs.items()
-        }
+        self.robot = robot_of(planned)
         random = Random(options.seed)  # noqa: S311  (which show is next)
         self.director = Director(
             stage,
-            infos,
+            infos_of(self.programs),
             random,
             waits_for_go=options.waits_for_go,
             start_at=options.start_at,
@@ -186,12 +185,51 @@ class StageRun:
         self._must_connect = True
         self._is_relaxing = self._is_over = False
         self._measured_ns = self._sampled_ns = 0
+        self._celsius: dict[str, float] = {}
+        self._amperes: dict[str, float] = {}
+        """The last readings of each servo in this run."""
         self._ring_ns: int | None = None
         self._ticked_ns: int | None = None
         self._clock = MonotonicClock()
         if not options.is_virtual:
             self.now_ns = self._clock.now_ns()
         self._end_ns = None if options.lasts_s is None else self.now_ns + ns_from_s(options.lasts_s)
+
+    def renew(self, planned: Planned, player: Player | None) -> tuple[str, str]:
+        """Go on with newer files. Return `renewed`, `busy` or `must_restart`, and a text.
+
+        What the run has opened at its start must be the same: the robot, the timecode, the log.
+        Nothing is changed otherwise, or while a show plays.
+        """
+        director = self.director
+        is_changing = player is not None and not director.is_connected
+        if not director.is_free or is_changing:
+            return "busy", ""
+        stage, programs = planned.stage, {n: show.program for n, show in planned.shows.items()}
+        differs = [
+            name
+            for name, before, after in (
+                ("the robot", self.robot, robot_of(planned)),
+                ("sync", opened_by(self.stage), opened_by(stage)),
+                ("log", self.stage.log, stage.log),
+                ("a sensor of the cues", self.stage.sensors, stage.sensors),
+            )
+            if before != after
+        ]
+        begins = "new files; the stage begins anew"
+        if differs:
+            return "must_restart", f"{begins}: another value of {', '.join(differs)}"
+        try:
+            if isinstance(player, StagePlayer):
+                player.repertoire.renew(programs)
+        except InputError as refused:
+            return "must_restart", f"{begins}: {refused.reason}"
+        changed = {name for name in programs if programs[name] != self.programs.get(name)}
+        self.stage, self.programs = stage, programs
+        director.renew(stage, infos_of(programs), changed)
+        self._records.renew(stage)
+        shows = f"; changed: {', '.join(sorted(changed))}" if changed else ""
+        return "renewed", f"new files are played from now on{shows}"
 
     # ---- one run after the other
 
@@ -219,6 +257,7 @@ class StageRun:
     def _begin_run(self) -> None:
         self._must_connect = False
         self._playing = Playing()
+        self._celsius, self._amperes = {}, {}
         self._rate, self._rated_ns = 1.0, -RATE_EVERY_NS
         self._is_led = False
         if self.timecode is not None:
@@ -402,9 +441,12 @@ class StageRun:
         if player.show.scheduler is None:
             return
         health = player.show.scheduler.health
-        celsius = [(value, name) for name, value in health.temperatures_c.items()]
+        # A show that has just begun has not asked every servo yet.
+        self._celsius |= health.temperatures_c
+        self._amperes |= health.currents_a
+        celsius = [(value, name) for name, value in self._celsius.items()]
         hot: tuple[float | None, str] = max(celsius, default=(None, ""))
-        current_a = sum(health.currents_a.values()) if health.currents_a else None
+        current_a = sum(self._amperes.values()) if self._amperes else None
         self.director.measured(hot[0], current_a, self.now_ns, hot[1])
         if self.now_ns >= self._sampled_ns + SAMPLE_NS:
             self._sampled_ns = self.now_ns
@@ -542,3 +584,26 @@ def cause_of(result: StageResult) -> tuple[Cause | None, str]:
     error = result.error
     cause = Cause.LOST_PORT if isinstance(error, BusError) else None
     return cause, "the run has ended" if error is None else str(error)
+
+
+def robot_of(planned: Planned) -> Robot:
+    """Return the robot of a stage, which ends limp if it rests so."""
+    robot = next(iter(planned.shows.values())).robot
+    return replace(robot, end="limp") if planned.stage.duty.is_limp else robot
+
+
+def infos_of(programs: Mapping[str, Program]) -> dict[str, ShowInfo]:
+    """Return what a director needs to know of shows."""
+    return {
+        name: ShowInfo(joints=frozenset(one.start_deg), duration_s=one.duration_s)
+        for name, one in programs.items()
+    }
+
+
+def opened_by(stage: Stage) -> Sync:
+    """Return the timecode of a stage, in and out, without the lines of its file."""
+    given, send = stage.sync.timecode, stage.sync.send
+    return Sync(
+        timecode=None if given is None else replace(given, line=None),
+        send=tuple(replace(one, line=None) for one in send),
+    )

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.player.player import Player
-    from lss_motion.stage.director import Playing
     from lss_motion.stage.model import SendOutput
+    from lss_motion.stage.orders import Playing
     from lss_motion.sync.options import SendSpec
 
 

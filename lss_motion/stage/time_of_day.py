@@ -75,12 +75,16 @@ class CronClock:
 
     def __init__(self, expressions: Iterable[str], zone: tzinfo | None = None) -> None:
         """Watch `expressions`; `zone` is that of the times, None: that of the computer."""
-        self._expressions = tuple(dict.fromkeys(expressions))
-        self._zone = zone
+        self.watch(expressions, zone)
         self._until: datetime | None = None
         """The last minute, in UTC, that was gone through."""
         self._until_local: datetime | None = None
         """The latest local time that was gone through."""
+
+    def watch(self, expressions: Iterable[str], zone: tzinfo | None) -> None:
+        """Go on with other expressions."""
+        self._expressions = tuple(dict.fromkeys(expressions))
+        self._zone = zone
 
     def due(self, wall: datetime) -> tuple[list[str], str]:
         """Return the expressions that are due by `wall`, an aware time, and what was noticed.

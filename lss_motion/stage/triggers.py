@@ -89,14 +89,17 @@ class TimecodeCues:
     ) -> None:
         """Take the cues of a stage, and the durations of its shows."""
         self._freewheel_ns = ns_from_s(freewheel_s)
-        self._cues = sorted(
-            (cue for cue in cues if cue.on.kind is Kind.TIMECODE), key=lambda cue: cue.on.at_s
-        )
-        self._duration_s = duration_s
+        self.renew(cues, duration_s)
         self._at_s: float | None = None
         """The position up to which cues were passed; None: the source is lost."""
         self._rate = 0.0
         self._now_ns = self._received_ns = 0
+
+    def renew(self, cues: Iterable[Cue], duration_s: dict[str, float]) -> None:
+        """Go on with other cues and shows."""
+        timed = (cue for cue in cues if cue.on.kind is Kind.TIMECODE)
+        self._cues = sorted(timed, key=lambda cue: cue.on.at_s)
+        self._duration_s = duration_s
 
     def take(
         self, at_s: float | None, rate: float, now_ns: int
@@ -215,6 +218,10 @@ class Bags:
         if not self._coming.get(cue.name):
             self._coming[cue.name] = self._filled(cue, None)
         return self._coming[cue.name][0]
+
+    def forget(self) -> None:
+        """Begin anew: cues may have other shows."""
+        self._coming.clear()
 
     def take(self, cue: Cue) -> None:
         """Note that the next show is played."""

@@ -173,6 +173,11 @@ class Desk:
         if self._player is not None:
             self._player.send(m.Stop())
 
+    def renew_run(self) -> None:
+        """Let the process that plays go on with the newest plan, if it can; a note says so."""
+        if self._player is not None:
+            self._player.send_job(self._plan().job)
+
     @property
     def player(self) -> PlayerProcess | None:
         """The process that owns the ports of the robot, if there is one."""

@@ -1,7 +1,8 @@
 """Keeps a stage running: when its player starts, ends for new files, and is given up.
 
-    next_deed(...)   what is to be done now: `start`, `end`, or nothing
-    note_end(...)    takes how the player ended
+    next_deed(...)     what is to be done now: `start`, `renew`, or nothing
+    note_renewed(...)  takes whether the player goes on with new files
+    note_end(...)      takes how the player ended
 
 Pure: time and state are arguments. The director in the player begins again after faults; what is
 decided here is the rest: a player that could not begin or is gone, and files that have changed. A
@@ -25,7 +26,7 @@ PROVEN_S: Final = 600.0
 CALM_S: Final = 1.0
 """New files are taken when they have not changed for so long: an editor may write several."""
 
-Deed = Literal["start", "end"]
+Deed = Literal["start", "renew"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,8 @@ class Keeper:
         self._changed_s = self._started_s = self._next_s = 0.0
         self._attempts = 0
         self._needs_new_files = self._is_ending = False
+        """`_is_ending`: the player is to go on with new files, or to end for them."""
+        self._renewing: str | None = None
 
     @property
     def has_new_files(self) -> bool:
@@ -84,7 +87,8 @@ class Keeper:
             if seen.state not in RESTING or seen.is_latched:
                 return None
             self._is_ending = True
-            return "end"
+            self._renewing = seen.plan
+            return "renew"
         is_stuck = self._needs_new_files and not self.has_new_files
         if seen.plan is None or not self.is_wanted or is_stuck or now_s < self._next_s:
             return None
@@ -94,6 +98,12 @@ class Keeper:
         """Note that the player was started with these files."""
         self._plan, self._started_s = plan, now_s
         self.is_wanted, self._needs_new_files = True, False
+
+    def note_renewed(self, *, is_taken: bool) -> None:
+        """Note that the player goes on with the new files, or cannot now: a show plays."""
+        self._is_ending = False
+        if is_taken:
+            self._plan = self._renewing
 
     def note_end(self, error: str | None, exit_code: int | None, now_s: float) -> str | None:
         """Note that the player has ended; return what is to be told to people, if anything."""

@@ -73,6 +73,10 @@ class PlayerProcess:
         """Send an operation; its answer is an event with the same `id`."""
         self._link.send(Kind.OPERATION, operation.model_dump_json().encode())
 
+    def send_job(self, job: bytes) -> None:
+        """Send a newer packed job to a process that can go on with it."""
+        self._link.send(Kind.OBJECT, job)
+
     def _beat(self) -> None:
         self._timer = self._loop.call_later(BEAT_S, self._beat)
         self.send(m.Beat())

@@ -177,8 +177,8 @@ class StageService:
         if is_waiting and not self._said_waiting:
             self.note("the files have changed: they are played when this show has ended")
         self._said_waiting = is_waiting
-        if deed == "end":
-            desk.end_run()
+        if deed == "renew":
+            desk.renew_run()
         elif deed == "start":
             self._start(seen.plan)
 
@@ -220,6 +220,10 @@ class StageService:
 
     def _pass_on(self, note: dict[str, Any]) -> None:
         kind, text = note["kind"], note["text"]
+        if kind in ("renewed", "busy"):
+            self.keeper.note_renewed(is_taken=kind == "renewed")
+        elif kind == "must_restart":
+            self.studio.desk.end_run()
         if not text:
             return  # Figures for the log.
         self._options.note(text)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+import re
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from campaign.outside import objections_to
@@ -65,7 +66,7 @@ class Judge(Witness):
         self.end_ns = now_ns
 
 
-def evening(folder, lasts_s, more="", faults=None, acts=(), judges=None, **options):
+def evening(folder, lasts_s, more="", faults=None, acts=(), judges=None, hands=None, **options):
     """Play an evening; return how it ended, its records and its runs, each judged at its horns.
 
     `acts` are what operators do: `(at_s, function of the director and the instant)`.
@@ -95,6 +96,8 @@ def evening(folder, lasts_s, more="", faults=None, acts=(), judges=None, **optio
         **options,
     )
     hand = Hand(list(acts))
+    if hands is not None:
+        hands.append(hand)
     run = StageRun(planned, options, steerer=hand, note=records.append, tap=make_tap)
     hand.run = run
     end = run.play(judge)
@@ -109,11 +112,13 @@ class Hand:
 
     def __init__(self, acts):
         self._acts, self.run = sorted(acts, key=lambda act: act[0]), None
+        self.player = None
 
     def filenos(self):
         return ()
 
     def act(self, player, now_ns):
+        self.player = player
         while self._acts and self._acts[0][0] * S <= self.run.now_ns:
             self._acts.pop(0)[1](self.run.director, self.run.now_ns)
 
@@ -250,3 +255,91 @@ def test_a_missing_port_is_waited_for(folder, monkeypatch):
     run = StageRun(planned, Options(is_virtual=True, lasts_s=20.0))
     tries.clear()
     assert isinstance(run.play().error, BusError)
+
+
+def test_a_hot_servo_is_remembered_when_another_show_begins(folder):
+    """A show that has just begun has not measured all servos: that ends no rest."""
+    hot = [Fault(kind=FaultKind.HOT, servo_id=2, at_s=4.0, temperature_c=72.0)]
+    duty = "duty: {rest: sleep, temperature_c: {slow: 55, rest: 65}}\n"
+    _, records, _ = evening(folder, 30.0, duty, faults=lambda _began_ns: hot)
+    rests = [one["text"] for one in records if one["kind"] == "rest"]
+    assert len(rests) == 1
+    assert "a servo is hot" in rests[0]
+
+
+def test_a_clock_that_is_set_in_mid_show_moves_nothing_and_fires_nothing_twice(folder, monkeypatch):
+    """The bytes are the same as with a clock that is right, to the nanosecond."""
+    every = "  - {cue: two, on: {time: '*/2 * * * *'}, play: wink, start: add}\n"
+    steps_s = ((30.0, 45.0), (50.0, -50.0), (115.0, 20.0), (130.0, -40.0))
+    """At 18:00:30, in a show, it is 45 s late; and so on: the clock passes 18:02 three times."""
+    right = StageRun.wall
+
+    def wall(run):
+        return right(run) + timedelta(seconds=sum(by for at, by in steps_s if run.now_ns >= at * S))
+
+    found = []
+    for is_set in (False, True):
+        judges = []
+        with monkeypatch.context() as patch:
+            if is_set:
+                patch.setattr(StageRun, "wall", wall)
+            acts = [(29.5, lambda director, now_ns: director.play("scare", now_ns))]
+            _, records, _ = evening(folder, 170.0, every, acts=acts, judges=judges)
+        fired = [one["cue"] for one in records if one["kind"] == "fired" and one["cue"] == "two"]
+        assert fired == ["two"]
+        found.append((judges[0].writes["main"], records))
+    until_ns = 100 * S  # Until the cue comes, which is when the clock says so.
+    before, after = ([one for one in writes if one[0] < until_ns] for writes, _ in found)
+    assert before == after
+    assert len(before) > 1000
+    said = [one["text"] for one in found[1][1] if one["kind"] == "note"]
+    assert not any("clock" in text for text in said), "less than what is taken for a correction"
+
+
+GO = "  - {cue: go, on: {key: g}, play: scare}"
+
+
+def test_new_files_are_played_by_the_run_that_goes_on(folder, tmp_path):
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_text(file.read_text())
+    hands, found, judges = [], [], []
+
+    def renew(name, old, new):
+        def act(_director, _now_ns):
+            path = tmp_path / f"{name}.yaml"
+            assert old in path.read_text()
+            path.write_text(path.read_text().replace(old, new))
+            planned = plan_stage(load_stage(tmp_path / "stage.yaml"))
+            found.append(hands[0].run.renew(planned, hands[0].player))
+
+        return act
+
+    def press(director, now_ns):
+        director.signal(Signal(kind=Kind.KEY, address="g"), now_ns)
+
+    acts = [
+        (2.0, press),  # Not a cue yet.
+        (3.0, renew("stage", "cooldown_s: 5}", f"cooldown_s: 5}}\n{GO}")),
+        (5.0, renew("scare", "jaw: 40", "jaw: 60")),
+        (6.0, press),
+        (7.0, renew("scare", "jaw: 60", "jaw: 50")),
+        (14.0, renew("idle", "neck: 10", "neck: -12")),
+        (20.0, renew("robot", "accel_max_deg_s2: 600", "accel_max_deg_s2: 500")),
+    ]  # fmt: skip
+    _, records, runs = evening(tmp_path, 24.0, acts=acts, hands=hands, judges=judges)
+    assert [kind for kind, _ in found] == ["renewed", "renewed", "busy", "renewed", "must_restart"]
+    assert found[1][1] == "new files are played from now on; changed: scare"
+    assert "the robot" in found[4][1]
+    assert len(runs) == 1
+    fired = [one["cue"] for one in records if one["kind"] == "fired"]
+    assert fired == ["go"]
+    targets = {
+        (servo_id, at_ns // S): int(found[1])
+        for at_ns, data in judges[0].writes["main"]
+        for servo_id in (1, 2)
+        for found in re.finditer(rb"#%dD(-?\d+)T" % servo_id, data)
+    }
+    jaw = [target for (servo_id, _), target in targets.items() if servo_id == 2]
+    assert 595 < max(jaw) < 650, "as the file said when it was fired"
+    neck = [target for (servo_id, at_s), target in targets.items() if servo_id == 1 and at_s > 16]
+    assert min(neck) <= -115, "the new idle show"

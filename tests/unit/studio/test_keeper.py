@@ -46,12 +46,30 @@ def test_new_files_are_taken_once_they_are_calm():
     assert keeper.next_deed(new, 10.0) is None
     assert keeper.next_deed(replace(new, plan="c"), 10.8) is None
     assert keeper.next_deed(replace(new, plan="c"), 11.5) is None
-    assert keeper.next_deed(replace(new, plan="c"), 12.0) == "end"
-    assert keeper.next_deed(replace(new, plan="c"), 12.5) is None, "it ends already"
+    assert keeper.next_deed(replace(new, plan="c"), 12.0) == "renew"
+    assert keeper.next_deed(replace(new, plan="c"), 12.5) is None, "it is asked already"
     assert keeper.note_end(None, None, 13.0) is None
     assert keeper.next_deed(replace(OFF, plan="c"), 13.0) == "start"
     keeper.note_start("c", 13.0)
     assert not keeper.has_new_files
+
+
+def test_a_player_that_goes_on_with_new_files_is_not_started_again():
+    keeper = started()
+    new = replace(IDLE, plan="b")
+    keeper.next_deed(new, 10.0)
+    assert keeper.next_deed(new, 12.0) == "renew"
+    keeper.note_renewed(is_taken=False)
+    assert keeper.has_new_files, "a show has just begun"
+    assert keeper.next_deed(new, 13.0) == "renew"
+    newer = replace(IDLE, plan="c")
+    assert keeper.next_deed(newer, 13.2) is None
+    keeper.note_renewed(is_taken=True)
+    assert keeper.has_new_files, "changed again meanwhile"
+    assert keeper.next_deed(newer, 15.0) == "renew"
+    keeper.note_renewed(is_taken=True)
+    assert not keeper.has_new_files
+    assert keeper.next_deed(newer, 99.0) is None
 
 
 def test_files_with_an_error_change_nothing():
