@@ -43,7 +43,7 @@ from lss_motion.stage.running import Options, StageRun
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from lss_motion.player.player import Player
     from lss_motion.robot.model import Robot
@@ -187,6 +187,7 @@ class Hands:
         self.run: StageRun | None = None
         self.set = timedelta()
         self.memory: list[Memory] = []
+        self.on_sample: Callable[[Memory], None] = lambda _: None
         self._keys, self._clock = Random(f"{seed}/keys"), Random(f"{seed}/clock")
         self._key_ns = _next_ns(self._keys, 0, self._key_s)
         self._clock_ns = _next_ns(self._clock, 0, self._set_s)
@@ -216,6 +217,7 @@ class Hands:
         if now_ns >= self._memory_ns:
             self._memory_ns = now_ns + round(MEMORY_S * NS_PER_S)
             self.memory.append(memory_of(now_ns / (3600.0 * NS_PER_S)))
+            self.on_sample(self.memory[-1])
 
 
 def _next_ns(random: Random, now_ns: int, mean_s: float) -> int:
@@ -304,10 +306,11 @@ def weekend(
     max_bytes: int = 20_000_000,
     hurry: float = 1.0,
     is_open: bool = False,
+    says: Callable[[Memory, Judge], None] | None = None,
 ) -> Outcome:
     """Play it; the log goes to `folder`. All that happens comes `hurry` times as often.
 
-    `is_open`: there are no quiet hours.
+    `is_open`: there are no quiet hours. `says` is told every ten minutes of it.
     """
     cpu_s = time.process_time()
     stage = load_stage(stage_path)
@@ -340,6 +343,8 @@ def weekend(
             log.write(record)
 
         hands = Hands(seed, hurry)
+        if says is not None:
+            hands.on_sample = lambda sample: says(sample, judge)
         run = Weekend(planned, options, hands, judge, note=note, tap=lambda _: judge)
         triggers = count_triggers(run)
         run.play(judge.end)
@@ -428,6 +433,17 @@ def faults_of(outcome: Outcome, max_bytes: int) -> list[str]:
     return found
 
 
+def say(sample: Memory, judge: Judge) -> None:
+    """Print how far it has come, once an hour."""
+    if sample.at_h % 1.0 < MEMORY_S / 3600.0:
+        print(
+            f"{sample.at_h:.1f} h: {judge.runs} runs ended, {judge.moves} moves, {judge.looks} "
+            f"looks, objections: {dict(judge.objections)}, {sample.size_b / 1e6:.1f} MB",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
 def main() -> int:
     """Play a weekend, print what it showed; return 1 if something is wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
@@ -449,6 +465,7 @@ def main() -> int:
             max_bytes=max_bytes,
             hurry=arguments.hurry,
             is_open=arguments.open,
+            says=say,
         )
     wrong = faults_of(outcome, max_bytes)
     samples = [one for one in outcome.memory if one.at_h >= SETTLED_H]
