@@ -155,7 +155,7 @@ class Refusal(NamedTuple):
     is_frame: bool = False
     is_stored: bool = False
     is_warning: bool = False
-    """`on_fault` has a warning for it, and nothing more."""
+    """It is a warning, and nothing more."""
 
 
 def refusals(
@@ -188,6 +188,14 @@ def _model_refusals(joint: Joint, answers: Answers, robot: Robot) -> Iterator[Re
             line=joint.lines.get("model"),
         )
         yield Refusal(joint, ("QMS",), error)
+    firmware = reported_firmware(joint, answers)
+    assumed = robot.buses[joint.bus].firmware_of(joint.model.family)
+    if firmware is not None and firmware != assumed:
+        other = InputError(
+            f"joint {joint.name!r}: servo {joint.servo_id} has firmware {firmware}, the robot "
+            f"file says {assumed}"
+        )
+        yield Refusal(joint, ("QF",), other, is_warning=True)
 
 
 def _drive_refusals(joint: Joint, answers: Answers, robot: Robot) -> Iterator[Refusal]:
@@ -521,19 +529,12 @@ def check_answers(
         raise combined(hard)
     warnings = [str(reason.error) for reason in soft]
     for joint in joints:
-        warnings += _warnings(joint, answers, robot)
+        warnings += _warnings(joint, answers)
     return warnings
 
 
-def _warnings(joint: Joint, answers: Answers, robot: Robot) -> Iterator[str]:
+def _warnings(joint: Joint, answers: Answers) -> Iterator[str]:
     """Yield what a person should know of a servo that may be driven."""
-    firmware = reported_firmware(joint, answers)
-    assumed = robot.buses[joint.bus].firmware_of(joint.model.family)
-    if firmware is not None and firmware != assumed:
-        yield (
-            f"joint {joint.name!r}: servo {joint.servo_id} has firmware {firmware}, the robot "
-            f"file says {assumed}"
-        )
     status = status_of(joint, answers)
     if status is Status.OUTSIDE_LIMITS:
         yield (

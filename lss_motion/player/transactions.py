@@ -36,8 +36,8 @@ third answer, one of 500 queries stays open."""
 class Item:
     """One command for one bus. A query waits for its answer, an order does not.
 
-    With `agree_within`, a number is accepted when two answers differ by no more than that (wire
-    units), and a word when it came twice: a bus without checksums can deliver a wrong one.
+    With `agree_within`, a number is accepted when `agreeing` answers differ by no more than that
+    (wire units), and a word when it came so often: a bus without checksums can deliver a wrong one.
     """
 
     bus: str
@@ -45,6 +45,7 @@ class Item:
     is_query: bool
     tries: int = TRIES
     agree_within: int | None = None
+    agreeing: int = 2
 
 
 @dataclass(slots=True, eq=False)
@@ -56,10 +57,16 @@ class _Entry:
     def accepts(self, value: int | str | None) -> bool:
         """Use an answer; return whether it is accepted."""
         within = self.item.agree_within
-        if within is None or any(_agree(value, earlier, within) for earlier in self.earlier_values):
+        if within is None:
             return True
+        agreeing = 1 + sum(_agree(value, earlier, within) for earlier in self.earlier_values)
         self.earlier_values.append(value)
-        return False
+        return agreeing >= self.item.agreeing
+
+    @property
+    def may_agree(self) -> bool:
+        """Whether it is worth sending it again, after an answer that was not accepted."""
+        return len(self.earlier_values) < AGREE_TRIES * (self.item.agreeing - 1)
 
 
 class Transactions(Protocol):
@@ -127,7 +134,7 @@ class Dialogue:
                 self._answering.add((bus, query.command.servo_id))
                 if entry.accepts(answer.value):
                     self.answers[bus, query.command.servo_id, query.command.keyword] = answer.value
-                elif len(entry.earlier_values) < AGREE_TRIES:
+                elif entry.may_agree:
                     entry.tries_left = entry.item.tries  # It answers, so it is not silent.
                     self._queues[bus].appendleft(entry)
 

@@ -59,7 +59,7 @@ def test_a_simulated_robot_agrees_with_its_own_file(kit):
 def test_damaged_answers_refuse_no_robot(kit, seed):
     """A reply without one of its bytes can be a number: it is asked for again."""
     kind = FaultKind.SHORT_REPLY if seed % 2 else FaultKind.CORRUPT_REPLY
-    damage = Fault(kind=kind, ratio=0.1)
+    damage = Fault(kind=kind, ratio=0.3)
     one = kit.joint(stored={"G": -1.0, "O": 12.5})
     robot, preflight, _ = examined(kit, one, kit.joint("j1", 2), faults=[damage], seed=seed)
     assert all("does not report" in text for text in judged(robot, preflight))
