@@ -251,10 +251,10 @@ class HornEstimator:
         is_slow = timing_deg2 < self.noise_deg2
         self._note_strange(surprise_deg, elapsed_s, is_strange=is_slow and strange > 1.0)
         total = known + noise * max(1.0, strange * strange)
-        for row in range(SIZE):
-            self._mean[row] += spread[row] / total * surprise_deg
-            for column in range(SIZE):
-                self._cov[row][column] -= spread[row] * spread[column] / total
+        for row, own in enumerate(spread):
+            self._mean[row] += own / total * surprise_deg
+            pairs = zip(self._cov[row], spread, strict=True)
+            self._cov[row] = [before - own * other / total for before, other in pairs]
         square_deg2 = max(surprise_deg * surprise_deg - known, 0.0)
         if is_slow and recent_deg_s > 0.0:
             self._learn_noise(min(square_deg2, 4.0 * self.noise_deg2), elapsed_s)

@@ -38,6 +38,9 @@ SPEED_TINY_DEG_S = 1e-12
 class PiecewiseProfile:
     """The profile of one servo over all of a show: its pieces as arrays, for many samples."""
 
+    _near: tuple[float, float, float, float, float] = (math.inf, -math.inf, 0.0, 0.0, 0.0)
+    """The last piece that `at` has used: its begin and end, position, speed, acceleration."""
+
     def __init__(self, pieces: Iterable[Piece]) -> None:
         rows = [(p.start_s, p.position_deg, p.speed_deg_s, p.accel_deg_s2) for p in pieces]
         table = np.array(rows, dtype=np.float64)
@@ -100,12 +103,29 @@ class PiecewiseProfile:
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Return position and speed at one instant."""
-        index = max(int(np.searchsorted(self._start_s, time_s, side="right")) - 1, 0)
-        dt = time_s - float(self._start_s[index])
-        if not 0.0 <= dt < float("inf"):
-            return float(self._position[index]), 0.0
-        speed, accel = float(self._speed[index]), float(self._accel[index])
-        return float(self._position[index]) + dt * (speed + 0.5 * accel * dt), speed + accel * dt
+        start_s, end_s, position_deg, speed_deg_s, accel_deg_s2 = self._near
+        if not start_s <= time_s < end_s:
+            self._near = self._piece(time_s)
+            start_s, end_s, position_deg, speed_deg_s, accel_deg_s2 = self._near
+        dt = time_s - start_s
+        if not 0.0 <= dt < math.inf:
+            return position_deg, 0.0
+        return (
+            position_deg + dt * (speed_deg_s + 0.5 * accel_deg_s2 * dt),
+            speed_deg_s + accel_deg_s2 * dt,
+        )
+
+    def _piece(self, time_s: float) -> tuple[float, float, float, float, float]:
+        """Return the piece at one instant as `_near`; before the first piece that one."""
+        index = max(int(self._start_s.searchsorted(time_s, side="right")) - 1, 0)
+        is_last = index + 1 == len(self._start_s)
+        return (
+            float(self._start_s[index]),
+            math.inf if is_last else float(self._start_s[index + 1]),
+            float(self._position[index]),
+            float(self._speed[index]),
+            float(self._accel[index]),
+        )
 
 
 def _along(
