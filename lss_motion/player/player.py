@@ -169,6 +169,16 @@ class Player:
         self._stalls.expect(wakeup_ns)
         return wakeup_ns
 
+    def reads_ns(self, bus: str) -> int | None:
+        """Return until when bytes of a bus may wait to be handed over; None: they may not."""
+        is_streaming = self._dialogue is None and self._streamer is not None
+        return self.trackers[bus].reads_ns(self._now_ns) if is_streaming else None
+
+    def is_due(self, leaves_ns: int) -> bool:
+        """Return whether a move must leave by then, before answers are used, which takes time."""
+        due_ns = None if self._streamer is None else self._streamer.due_ns()
+        return due_ns is not None and due_ns <= leaves_ns
+
     def next_event(self) -> Event | None:
         return self._events.popleft() if self._events else None
 
@@ -605,13 +615,10 @@ class Player:
         match self._faults.arrive(session.restarted(answers), silent, now_ns):
             case Verdict.END:
                 self._end("fault", now_ns)
-                return
             case Verdict.RECOVER:
                 self._recover(now_ns)
-                return
             case Verdict.CONTINUE:
-                pass
-        self._judge_arrival(now_ns)
+                self._judge_arrival(now_ns)
 
     def _judge_arrival(self, now_ns: int) -> None:
         """Go on with the show if every joint is near enough to its place; else approach again."""
@@ -687,10 +694,8 @@ class Player:
         self.end_show(self._now_ns)
         self._streamer = None
         self._enter(Phase.RESTORE)
-        has_set = self._has_set
-        self._dialogue = (
-            self._session.restoring_dialogue() if has_set else self._session.dialogue([])
-        )
+        session = self._session
+        self._dialogue = session.restoring_dialogue() if self._has_set else session.dialogue([])
 
     def _finish(self, now_ns: int) -> None:
         self.end_show(now_ns)

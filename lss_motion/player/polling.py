@@ -45,10 +45,12 @@ def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
     return question, len(encode(question))
 
 
-BACKLOG_BYTES: Final = 14
-"""Queries that have not left yet are never more than this, `#12D-450T1500`: an unexpected command,
-such as a stop, waits no longer than for one other command. Two queries to one servo fit."""
+BACKLOG_BYTES: Final = 20
+"""Queries that have not left yet are never more than this: three to one servo. An unexpected
+command, such as a stop, waits for little more than another command, `#12D-450T1500`."""
 
+QUERY_LEAST_BYTES: Final = 4
+"""The shortest query, `#5Q` and its CR."""
 LATE_NS: Final = NS_PER_MS
 """A host that wakes later than this has other work. A wait on an idle host ends 0.2 ms late."""
 REST_RATIO: Final = 4
@@ -207,11 +209,20 @@ class PollScheduler:
         is_due = is_due or any(self.watched.query(bus, now_ns) for bus in self._trackers)
         for bus, tracker in self._trackers.items():
             is_own_due = self._choice.is_due(bus, now_ns)
-            if not is_own_due or tracker.not_before_ns() > now_ns:
+            room_ns = self._room_ns(bus, QUERY_LEAST_BYTES, now_ns)
+            if is_own_due and room_ns > now_ns:
+                self._next_ns[bus] = max(room_ns, tracker.not_before_ns())
+                is_own_due = False
+            elif not is_own_due or tracker.not_before_ns() > now_ns:
                 self._note_next(bus, now_ns)
                 is_own_due = is_own_due and self._next_ns[bus] is None
             is_due = is_due or is_own_due
         return is_due
+
+    def _room_ns(self, bus: str, size_bytes: int, now_ns: int) -> int:
+        """Return from when on a query keeps the line busy for no more than `BACKLOG_BYTES`."""
+        line = self._lines[bus]
+        return line.arrival_ns(size_bytes, now_ns) - line.time_ns(BACKLOG_BYTES)
 
     def _send_if_allowed(
         self,
@@ -227,15 +238,14 @@ class PollScheduler:
         tracker, line = self._trackers[bus], self._lines[bus]
         earliest_ns = tracker.earliest_ns(question.servo_id, size_bytes, is_urgent=is_urgent)
         if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
-            self._next_ns[bus] = earliest_ns
+            self._next_ns[bus] = tracker.free_ns() if earliest_ns is None else earliest_ns
             return False
-        arrival_ns, room_ns = line.arrival_ns(size_bytes, now_ns), line.time_ns(BACKLOG_BYTES)
-        if arrival_ns > now_ns + room_ns:
-            self._next_ns[bus] = arrival_ns - room_ns
+        if (room_ns := self._room_ns(bus, size_bytes, now_ns)) > now_ns:
+            self._next_ns[bus] = room_ns
             return False
-        if quiet_until_ns is not None and arrival_ns > quiet_until_ns:
+        if quiet_until_ns is not None and line.arrival_ns(size_bytes, now_ns) > quiet_until_ns:
             return False
-        tracker.send(question, now_ns)
+        tracker.send(question, now_ns, is_patient=not self._choice.is_behind(bus, now_ns))
         return True
 
     def _poll_overdue(self, bus: str, now_ns: int) -> None:

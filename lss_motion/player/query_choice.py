@@ -164,6 +164,10 @@ class QueryChoice(ABC):
         """Return whether `next_query` may return one now."""
 
     @abstractmethod
+    def is_behind(self, bus: str, now_ns: int) -> bool:
+        """Return whether a query has waited so long that each answer should be read at once."""
+
+    @abstractmethod
     def touch(self, bus: str, state: JointState | None = None) -> None:
         """Note that a servo has answered; without `state`: that any servo of a bus may have not."""
 
@@ -356,6 +360,9 @@ class ByNeed(QueryChoice):
             every.dues_ns[index] = self._due_ns(bus, every.states[index])
         return bool(every.words) or min(every.dues_ns, default=math.inf) <= now_ns
 
+    def is_behind(self, bus: str, now_ns: int) -> bool:
+        return min(self._rounds[bus].dues_ns, default=math.inf) < now_ns - self._strayed_ns
+
     def next_ns(self, bus: str, now_ns: int) -> int | None:  # noqa: ARG002
         next_ns = min(self._rounds[bus].dues_ns, default=math.inf)
         return None if next_ns == math.inf else int(next_ns)
@@ -395,7 +402,9 @@ class ByNeed(QueryChoice):
         if place_ns is None or name in self._health.unconfirmed:
             return self._quiet_until_ns(bus, state)
         place_ns += self._place_period_ns(state)
-        due_ns = min(place_ns, _target_ns(state), self._health_due_ns(state))
+        # Health goes along with the next query for the angle, which is due soon after it.
+        health_ns = self._health_due_ns(state) + min(self._steady_ns, HEALTH_NS // 2)
+        due_ns = min(place_ns, _target_ns(state), health_ns)
         return max(due_ns, self._quiet_until_ns(bus, state))
 
     def _place_period_ns(self, state: JointState) -> int:
@@ -424,16 +433,18 @@ class ByNeed(QueryChoice):
         first = self._priority_word(bus, state, now_ns)
         if first is None:
             first = self._health.unconfirmed.get(name)
+        probes = self._watch.keywords(name)
         period_ns, place_ns = self._place_period_ns(state), self._places_ns.get(name)
         age_ns = math.inf if place_ns is None else now_ns - place_ns
         is_late = age_ns > 2.0 * period_ns
-        if first not in (None, TARGET_KEYWORD):
-            if name in self._watch.doubted or first not in self._watch.keywords(name):
-                return [first]
+        is_overdue = self._trackers[bus].is_overdue(state.joint.servo_id, PLACE_KEYWORD)
+        is_single = is_overdue or name in self._watch.doubted
+        if is_single or first not in (None, TARGET_KEYWORD, *probes):
+            return [first or PLACE_KEYWORD]
+        if first in probes and is_late:
             # Where queries are few, a probe is due at each visit, and would be all that is asked.
-            other = self._late_health(state, now_ns) or (
-                PLACE_KEYWORD if is_late and name in self._visits_ns else None
-            )
+            late = self._late_health(state, now_ns)
+            other = PLACE_KEYWORD if late is None and name in self._visits_ns else late
             return [first] if other is None else [other, first]
         words = [] if first is None else [first]
         if words and not is_alone:
@@ -442,6 +453,7 @@ class ByNeed(QueryChoice):
             words.append(PLACE_KEYWORD)
         health_ns = self._health_period_ns(state)
         is_due = state.health_ns is None or now_ns - state.health_ns >= RIDE_RATIO * health_ns
+        is_due = is_due and first not in probes
         if is_due and not (is_late and self._health_wait[bus] < HEALTH_LEAST - 1):
             words.append(self._health_word(state))
         return words[::-1] or [PLACE_KEYWORD]
@@ -474,6 +486,9 @@ class FullLine(QueryChoice):
         return min((instant_ns for instant_ns in quiet if instant_ns > now_ns), default=None)
 
     def is_due(self, bus: str, now_ns: int) -> bool:  # noqa: ARG002
+        return True
+
+    def is_behind(self, bus: str, now_ns: int) -> bool:  # noqa: ARG002
         return True
 
     def touch(self, bus: str, state: JointState | None = None) -> None:

@@ -49,6 +49,17 @@ WINDOW: Final = 32
 """Number of remembered answers. Chosen: one in 33 exceeds all of them by chance."""
 SAMPLES_LEAST: Final = 4
 """With fewer answers the latency is unknown: then only one servo is polled at a time."""
+SAMPLES_ENOUGH: Final = 12
+"""With so many answers most flights may be patient. Chosen: the range of the latency is then known
+to a third of its spread (`MARGIN_SAMPLES`), after a second of ordinary polling."""
+PROMPT_EVERY: Final = 16
+"""One flight in so many is prompt all the same, so that a latency that changes is noticed."""
+PATIENT_SPREAD: Final = 4
+"""The last answer of a patient flight may be later than that of a prompt one by this part of the
+spread: few of its answers are timed, and where lines are not filled there is room."""
+PATIENCE_NS: Final = 4 * NS_PER_MS
+"""Answers of a patient flight wait this long after the last one should have come in. Chosen: most
+are read with the next query or move then, and a lost move is sent again only this much later."""
 REPLY_TIMEOUT_NS: Final = 30 * NS_PER_MS
 """Time for the answer of an unknown servo: the stricter libraries wait 10 ms (FACTS.md H5), and a
 USB adapter may add its 16 ms timer."""
@@ -88,6 +99,11 @@ class ReplyLatency:
         self.latest_ns = most_ns + margin_ns
         self.is_known = True
 
+    @property
+    def is_well_known(self) -> bool:
+        """Whether enough answers are remembered that another one teaches little."""
+        return len(self._waits_ns) >= SAMPLES_ENOUGH
+
     def forget(self) -> None:
         """Start anew: the servo answers differently now."""
         self._waits_ns.clear()
@@ -114,6 +130,8 @@ class _Flight:
     """Answers that may belong to one of several queries: accepted when all are answered."""
     counts: Counter[str] = field(default_factory=Counter)
     """Number of queries by keyword."""
+    is_patient: bool = False
+    """Its answers are read when that costs no turn of the loop. They show no latency."""
     is_doubtful: bool = False
     """An answer was lost or came twice."""
     garbage: int = 0
@@ -140,6 +158,7 @@ class _LinkState:
     """Shortest expected answer."""
     last_sent_ns: int = 0
     last_reply_ns: int | None = None
+    flights: int = 0
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
         """Note the size of an answer; the next one may have a digit more."""
@@ -230,6 +249,27 @@ class QueryTracker:
         """
         return keyword in self._known(servo_id).overdue
 
+    def reads_ns(self, now_ns: int) -> int | None:
+        """Return until when answers may wait to be handed over; None: they may not.
+
+        Answers of prompt flights may not, since they show the latency of a servo.
+        """
+        if not all(flight.is_patient for flight in self._flights.values()):
+            return None
+        ends_ns = [flight.end_ns for flight in self._flights.values()]
+        reads_ns = min(ends_ns, default=0) + PATIENCE_NS
+        return reads_ns if reads_ns > now_ns else None
+
+    def free_ns(self) -> int | None:
+        """Return when the next query may leave if the answers in flight come on time.
+
+        None: that is not known. For a time at which to look again, after `earliest_ns` had none.
+        """
+        if not all(flight.is_patient for flight in self._flights.values()):
+            return None
+        ends_ns = [flight.end_ns for flight in self._flights.values()]
+        return max(min(ends_ns, default=0), self.not_before_ns())
+
     def earliest_ns(self, servo_id: int, size_bytes: int, *, is_urgent: bool = False) -> int | None:
         """Return the earliest instant at which a query of `size_bytes` may begin to leave.
 
@@ -258,12 +298,20 @@ class QueryTracker:
         quickest_ns = max(link.latency.earliest_ns for link in self._links.values())
         return end_ns - quickest_ns - self._line.time_ns(QUERY_MAX_BYTES)
 
-    def send(self, command: Command, now_ns: int) -> None:
-        """Send a query; `earliest_ns` returns when that is allowed."""
+    def send(self, command: Command, now_ns: int, *, is_patient: bool = False) -> None:
+        """Send a query; `earliest_ns` returns when that is allowed.
+
+        `is_patient`: its answer need not be read at once.
+        """
         servo_id = command.servo_id
         arrival_ns = self._line.send(encode(command), now_ns)
         if (flight := self._flights.get(servo_id)) is None:
-            flight = self._flights[servo_id] = _Flight(garbage=self._line.garbage)
+            link = self._known(servo_id)
+            link.flights += 1
+            is_prompt = link.flights % PROMPT_EVERY == 0 or not link.latency.is_well_known
+            flight = self._flights[servo_id] = _Flight(
+                garbage=self._line.garbage, is_patient=is_patient and not is_prompt
+            )
         reply_bytes = self.reply_bytes(servo_id, command.keyword)
         flight.counts[command.keyword] += 1
         flight.waiting.append(PendingQuery(command, arrival_ns, reply_bytes))
@@ -287,7 +335,7 @@ class QueryTracker:
         link.note_size(reply.keyword, size_bytes)
         is_timed = flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]
         # After `give_up_ns` this program was held up: that is no latency of the servo.
-        if is_timed and now_ns < flight.give_up_ns:
+        if is_timed and now_ns < flight.give_up_ns and not flight.is_patient:
             began_ns = now_ns - self._line.time_ns(size_bytes)
             link.latency.take(began_ns - query.arrival_ns)
         while (skipped := flight.waiting.popleft()) is not query:
@@ -370,6 +418,8 @@ class QueryTracker:
         """Compute when the last answer of a flight has come in at the latest."""
         latency = self._known(servo_id).latency
         latest_ns = latency.latest_ns
+        if flight.is_patient:
+            latest_ns += latency.spread_ns // PATIENT_SPREAD
         end_ns = flight.arrived_ns
         for query in flight.waiting:
             end_ns = max(end_ns, query.arrival_ns + latest_ns)

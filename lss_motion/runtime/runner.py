@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar, runtime_checkable
 
 from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.units import NS_PER_MS, NS_PER_US
@@ -59,6 +59,20 @@ class Driven(Protocol):
 
     def safe_bytes(self) -> Mapping[str, bytes]:
         """Return the bytes that must be the last on each bus if the run ends now."""
+
+
+@runtime_checkable
+class Patient(Protocol):
+    """What does not need every answer at once, besides `Driven`: this saves turns of the loop."""
+
+    def reads_ns(self, bus: str) -> int | None:
+        """Return until when bytes of a bus may wait to be handed over; None: they may not.
+
+        They still are handed over after every wait, unless something is due.
+        """
+
+    def is_due(self, leaves_ns: int) -> bool:
+        """Return whether bytes must leave by then, before those that have come are handed over."""
 
 
 D = TypeVar("D", bound=Driven)
@@ -112,6 +126,7 @@ def run(
     try:
         with _without_interruptions(clock):
             leaving = _LeavingTime(clock)
+            incoming = _Incoming(driven, ports, clock, leaving, tap)
             while True:
                 now_ns = leaving.next_ns()
                 if controls is not None:
@@ -128,8 +143,8 @@ def run(
                     return
                 if on_turn is not None:
                     on_turn(driven, now_ns)
-                _wait(ports, clock, wakeup_ns - leaving.decision_ns, controls)
-                _read(driven, ports, leaving, tap)
+                incoming.wait(wakeup_ns, controls)
+                incoming.read()
     except BaseException:
         _make_safe(driven, ports, clock, tap)
         raise
@@ -163,6 +178,64 @@ class _LeavingTime:
         return max(self._returned_ns, self._clock.now_ns())
 
 
+class _Incoming:
+    """Waits, and hands over the bytes that have come."""
+
+    def __init__(
+        self,
+        driven: Driven,
+        ports: Mapping[str, Port],
+        clock: Clock,
+        leaving: _LeavingTime,
+        tap: Tap | None,
+    ) -> None:
+        self._driven = driven
+        self._patient = _patient(driven)
+        self._ports = ports
+        self._clock = clock
+        self._leaving = leaving
+        self._tap = tap
+        self._is_held = False
+        """Whether the bytes were not read the last time, since something was due."""
+
+    def wait(self, wakeup_ns: int, controls: Controls[D] | None) -> None:
+        """Wait until `wakeup_ns`, or until data comes to a control, or to a port read at once.
+
+        A port whose data may wait does not end the wait before its time.
+        """
+        wakeup_ns -= self._leaving.decision_ns
+        filenos = [] if controls is None else [*controls.filenos()]
+        for bus, port in self._ports.items():
+            reads_ns = None if self._patient is None else self._patient.reads_ns(bus)
+            if reads_ns is not None:
+                wakeup_ns = min(wakeup_ns, reads_ns)
+                continue
+            if (arrival_ns := port.next_arrival_ns()) is not None:
+                wakeup_ns = min(wakeup_ns, arrival_ns)
+            if (fileno := port.fileno()) is not None:
+                filenos.append(fileno)
+        self._clock.wait_until(wakeup_ns, filenos)
+
+    def read(self) -> None:
+        """Hand over what has come; when something is due, only every other time."""
+        if self._patient is not None and not self._is_held:
+            leaves_ns = self._clock.now_ns() + self._leaving.decision_ns
+            self._is_held = self._patient.is_due(leaves_ns)
+            if self._is_held:
+                return
+        self._is_held = False
+        for bus, port in self._ports.items():
+            if data := port.read():
+                now_ns = self._leaving.now_ns()
+                self._driven.receive_data(bus, data, now_ns)
+                if self._tap is not None:
+                    self._tap.received(bus, data, now_ns)
+
+
+def _patient(driven: object) -> Patient | None:
+    return driven if isinstance(driven, Patient) else None
+
+
 def _write(driven: Driven, ports: Mapping[str, Port], leaves_ns: int, tap: Tap | None) -> bool:
     """Write what `driven` sends at `leaves_ns`; return whether there was anything."""
     sent = driven.data_to_send(leaves_ns)
@@ -175,17 +248,6 @@ def _write(driven: Driven, ports: Mapping[str, Port], leaves_ns: int, tap: Tap |
     return bool(sent)
 
 
-def _read(
-    driven: Driven, ports: Mapping[str, Port], leaving: _LeavingTime, tap: Tap | None
-) -> None:
-    for bus, port in ports.items():
-        if data := port.read():
-            now_ns = leaving.now_ns()
-            driven.receive_data(bus, data, now_ns)
-            if tap is not None:
-                tap.received(bus, data, now_ns)
-
-
 def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap | None) -> None:
     """Send the safe state to every port that still takes it; a port that fails stops no other."""
     for bus, data in driven.safe_bytes().items():
@@ -194,17 +256,6 @@ def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap
             if tap is not None:
                 tap.noted(bus, SAFE, clock.now_ns())
                 tap.sent(bus, data, clock.now_ns())
-
-
-def _wait(
-    ports: Mapping[str, Port], clock: Clock, wakeup_ns: int, controls: Controls[D] | None
-) -> None:
-    """Wait until `wakeup_ns`, or until data arrives at a port or a control."""
-    arrivals_ns = [a for port in ports.values() if (a := port.next_arrival_ns()) is not None]
-    filenos = [f for port in ports.values() if (f := port.fileno()) is not None]
-    if controls is not None:
-        filenos += controls.filenos()
-    clock.wait_until(min([wakeup_ns, *arrivals_ns]), filenos)
 
 
 @contextlib.contextmanager

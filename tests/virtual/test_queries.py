@@ -62,7 +62,7 @@ def reading_errors_deg(played, believed):
 
 def test_questions_fill_the_line_and_make_no_command_late(stage, kit):
     """Where every reading is wanted; a show asks by need."""
-    played = stage.play(kit.robot(18, baud_bps=BAUD_BPS), kit.sequence(18, 4.0), pace=None)
+    played = stage.play(kit.robot(18, baud_bps=BAUD_BPS), kit.sequence(18, 5.0), pace=None)
     bus = played.report.buses["bus0"]
     assert bus.garbage == bus.timeouts == bus.rejected == 0
     full_hz = BAUD_BPS / 10 / len(b"*12QD-123\r")
@@ -98,7 +98,7 @@ def test_an_accepted_reading_is_where_the_horn_was_at_the_query(stage, kit, beli
 
 def test_servos_that_become_quicker_or_slower_are_never_mistaken(stage, kit, believed):
     """Their answers then meet on the line, until their new ways are learnt."""
-    waits = [(2.5, slow(200)), (4.5, slow(4000))]
+    waits = [(2.5, slow(100)), (4.5, slow(4000))]
     made, garbage = [], []
 
     def change(event):

@@ -8,8 +8,12 @@ import pytest
 
 from lss_motion.player.query_tracker import (
     GRACE_NS,
+    PATIENCE_NS,
+    PATIENT_SPREAD,
+    PROMPT_EVERY,
     REPLY_MAX_BYTES,
     REPLY_TIMEOUT_NS,
+    SAMPLES_ENOUGH,
     SAMPLES_LEAST,
     STARVED_NS,
     STRAY_NS,
@@ -56,6 +60,27 @@ def test_an_answer_that_was_read_late_after_a_stall_is_no_latency(tracker, line)
     [(_, reply)] = tracker.receive(Reply(5, "QD", 100), now_ns + 30_000_000_000)
     assert reply.value == 100, "the answer itself is used"
     assert tracker.latency(5).latest_ns == before
+
+
+def test_an_answer_may_wait_once_the_latency_is_known_and_then_shows_none(tracker, line):
+    now_ns = take_over(tracker, line, 5, waits_us=(200, 1000) * (SAMPLES_ENOUGH // 2))
+    latest_ns = tracker.latency(5).latest_ns
+    patient = 0
+    for _ in range(PROMPT_EVERY):
+        tracker.send(ASK, now_ns, is_patient=True)
+        reads_ns = tracker.reads_ns(now_ns)
+        known = tracker.latency(5)
+        late_ns = line.free_ns + known.latest_ns + known.spread_ns // PATIENT_SPREAD
+        late_ns += line.time_ns(tracker.reply_bytes(5, "QD"))
+        assert reads_ns in (None, late_ns + PATIENCE_NS)
+        assert tracker.reads_ns(late_ns + PATIENCE_NS) is None
+        patient += reads_ns is not None
+        now_ns = late_ns + PATIENCE_NS if reads_ns else line.free_ns + 1_100 * US
+        assert tracker.receive(Reply(5, "QD", 100), now_ns)
+    assert patient == PROMPT_EVERY - 1
+    assert tracker.latency(5).latest_ns <= latest_ns, "only prompt answers show a latency"
+    tracker.send(ASK, now_ns)
+    assert tracker.reads_ns(now_ns) is None
 
 
 def test_the_last_query_of_each_servo_and_starvation_are_known(tracker):

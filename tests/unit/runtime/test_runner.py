@@ -144,6 +144,27 @@ def test_bytes_are_written_and_arrivals_are_read_at_their_instants():
     assert gc.isenabled()
 
 
+class PatientPlayer(Player):
+    """Lets answers of bus "b" wait, until instant 45 at the longest."""
+
+    def reads_ns(self, bus):
+        return 45 if bus == "b" and self._now_ns < 45 else None
+
+    def is_due(self, leaves_ns):
+        return self.next_wakeup_ns() is not None and self.next_wakeup_ns() <= leaves_ns
+
+
+def test_answers_that_may_wait_cost_no_turn_of_their_own():
+    clock, player, tap = VirtualClock(), PatientPlayer(), Tap()
+    arrivals = {"b": [(13, b"*1Q6\r"), (42, b"*2Q6\r"), (57, b"*3Q6\r")], "c": [(33, b"*4Q6\r")]}
+    ports = ports_for(clock, **{bus: {"arrivals": own} for bus, own in arrivals.items()})
+    run(player, ports, clock, tap=tap)
+    assert player.received == [
+        (20, "b", b"*1Q6\r"), (33, "c", b"*4Q6\r"), (45, "b", b"*2Q6\r"), (57, "b", b"*3Q6\r"),
+    ]  # fmt: skip
+    assert ports["a"].written == [(10 * turn, b"%d" % (turn + 1)) for turn in range(10)]
+
+
 def test_a_lost_port_leaves_the_others_in_the_safe_state():
     clock, tap = VirtualClock(), Tap()
     ports = ports_for(clock, a={"fails_at": 50})
