@@ -234,9 +234,14 @@ class FaultHandler:
         health = streamer.scheduler.health
         if self.escalation.is_idle and not health.active_faults:
             return Verdict.CONTINUE
-        found = health.active_faults.items()
-        watched = {key: text for key, text in found if self._is_watched(*key)}
-        answering = self.escalation.answering_again({key for key, _ in found})
+        # A joint in another turn is stopped, not resumed: first that is known.
+        found = {
+            (name, cause): text
+            for (name, cause), text in health.active_faults.items()
+            if cause is not Cause.RESTARTED or not health.may_be_turned(name)
+        }
+        watched = {key: text for key, text in found.items() if self._is_watched(*key)}
+        answering = self.escalation.answering_again(found.keys())
         taken = self.escalation.judge(watched, now_ns)
         for fault in taken:
             self._take(fault, now_ns)

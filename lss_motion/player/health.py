@@ -169,6 +169,10 @@ class HealthMonitor:
             self.unconfirmed[name] = "QD"
         return True
 
+    def may_be_turned(self, name: str) -> bool:
+        """Return whether one reading is in another turn, and the next one is awaited."""
+        return name in self._turned and (name, Cause.LOST_TURN) not in self.active_faults
+
     def lost_settings(self, state: JointState, text: str) -> None:
         """Note that a servo has restarted."""
         self._lost_settings.add(state.joint.name)
