@@ -119,15 +119,13 @@ class Player:
         """The rate that a person set; a fault may reduce it further."""
         self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
         self._streamer: Streamer | None = None
-        self._approaches = 0
-        self._prepared_from_ns = 0
+        self._now_ns = self._approaches = self._prepared_from_ns = 0
         self._is_repeated = False
         """Whether the settings are set for the second time, since the first time took long."""
         self._has_set = False
         """Whether orders may have changed settings of the servos."""
         self._has_moved, self._stops = False, 0
         self.idle_ns = IDLE_NS
-        self._now_ns = 0
         self._ended_ns: int | None = None
         """When the show had ended but for its goal tolerances."""
         self._seek_s: float | None = None
@@ -176,8 +174,7 @@ class Player:
 
     def is_due(self, leaves_ns: int) -> bool:
         """Return whether a move must leave by then, before answers are used, which takes time."""
-        due_ns = None if self._streamer is None else self._streamer.due_ns()
-        return due_ns is not None and due_ns <= leaves_ns
+        return self._streamer is not None and self._streamer.is_due(leaves_ns)
 
     def next_event(self) -> Event | None:
         return self._events.popleft() if self._events else None
@@ -561,7 +558,8 @@ class Player:
     def _prepared(self, settings: SettingsDialogue, now_ns: int) -> None:
         if self._has_lost_turns(settings.answers, now_ns):
             return
-        silent = self._session.note_positions(settings.answers)
+        joints, answers = self._session.joints, settings.answers
+        silent = self._session.note_positions(answers)
         is_stale = now_ns - self._prepared_from_ns > STALE_NS and not self._is_repeated
         if not settings.wrong and not silent and is_stale:
             self._prepare(is_repeated=True)  # The first may have restarted while others were set.
@@ -571,10 +569,8 @@ class Player:
             self._faults.repeat_recovery(silent, settings.wrong)
             self._enter(Phase.RECOVER)
         elif settings.wrong:
-            joints = self._session.joints
-            self._fail(handshake.not_applied_error(settings.wrong[0], settings.answers, joints))
+            self._fail(handshake.not_applied_error(settings.wrong[0], answers, joints))
         else:
-            joints, answers = self._session.joints, settings.answers
             self._fail(handshake.silent_error(silent, joints, self.robot, answers))
 
     def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
@@ -676,8 +672,7 @@ class Player:
     # ---- the end
 
     def _fail(self, error: LssMotionError) -> None:
-        self.error = error
-        self.outcome = "fault"
+        self.error, self.outcome = error, "fault"
         self._restore()
 
     def _end(self, outcome: Outcome, now_ns: int) -> None:

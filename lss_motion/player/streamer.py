@@ -452,6 +452,11 @@ class Streamer:
             due_ns.append(next_ns)
         return min(due_ns, default=None)
 
+    def is_due(self, leaves_ns: int) -> bool:
+        """Return whether a move must leave by then."""
+        due_ns = self.due_ns()
+        return due_ns is not None and due_ns <= leaves_ns
+
     def halt(self, since_ns: int, now_ns: int) -> None:
         """Brake after a stall: the show stands since `since_ns`, when a move was due.
 
