@@ -18,6 +18,7 @@ from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
     EXIT_UNREACHABLE,
+    BusError,
     InputError,
     LssMotionError,
 )
@@ -41,7 +42,7 @@ changes nothing.
 
   lss-motion doctor --stage hall.yaml  a stage of several figures, before the doors open
 
-With a stage it asks every figure, on the conductor's computer while the other figures are served:
+With a stage it asks every figure, on the conductor's computer while the figures are served:
 does it answer, are version and robot file the same, how well is its clock known, and what does it
 find about its computer, disk and servos. It exits with 4 if anything there is bad.
 
@@ -108,8 +109,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 def _stage(arguments: argparse.Namespace) -> int:
     """Print what all figures of a stage find."""
-    from lss_motion.network.examine import examine_stage
-    from lss_motion.network.serving import host_of
+    from lss_motion.network.examine import examine_stage, examined_by_conductor
+    from lss_motion.network.serving import host_of, settings_of
     from lss_motion.stage.load import load_stage
 
     if arguments.robot is not None or arguments.tone is not None:
@@ -117,13 +118,21 @@ def _stage(arguments: argparse.Namespace) -> int:
     stage = load_stage(arguments.stage)
     if stage.conductor is None:
         raise InputError("has no figures: examine its robot instead", path=arguments.stage)
-    host, robots = host_of(
-        stage, stage.conductor, port=arguments.port, trust_network=arguments.trust_network
-    )
     try:
-        rows = examine_stage(host, robots)
-    finally:
-        host.close()
+        host, robots = host_of(
+            stage, stage.conductor, port=arguments.port, trust_network=arguments.trust_network
+        )
+    except BusError as error:  # The address is in use: perhaps by the conductor.
+        settings = settings_of(stage, stage.conductor, is_trusted=arguments.trust_network)
+        try:
+            rows = examined_by_conductor(settings)
+        except BusError:
+            raise error from None
+    else:
+        try:
+            rows = examine_stage(host, robots)
+        finally:
+            host.close()
     if arguments.json:
         print_json({"rows": [dataclasses.asdict(row) for row in rows]})
     else:

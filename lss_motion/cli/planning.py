@@ -27,7 +27,7 @@ from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.robustness import Trial
     from lss_motion.shows import Show
+    from lss_motion.stage.check import Planned
     from lss_motion.trajectory.model import Trajectory
 
     FloatArray = NDArray[np.float64]
@@ -231,13 +232,20 @@ def _check_stage(arguments: argparse.Namespace) -> int:
             raise InputError(f"--{option} is for a show; this is a stage", path=arguments.file)
     stage = load_stage(arguments.file)
     read = reader(arguments, may_query=False)
-    planned = {figure: plan_stage(stage, read, figure=figure) for figure in stage.figures or [None]}
+    planned: Mapping[str | None, Planned]
+    if stage.figures:
+        from lss_motion.network.plans import planned_figures
+
+        robots = {name: read(one.robot_path) for name, one in stage.figures.items()}
+        planned = {name or "all figures": one for name, one in planned_figures(stage, robots)}
+    else:
+        planned = {None: plan_stage(stage, read)}
     if arguments.json:
         found = {figure: stage_as_json(one) for figure, one in planned.items()}
         print_json(found if stage.figures else found[None])
         return EXIT_FINISHED
     for figure, one in planned.items():
-        heading = [] if figure is None else [f"figure {figure}"]
+        heading = [] if figure is None else [figure]
         print("\n".join([*heading, *stage_lines(one)]), flush=True)
     return EXIT_FINISHED
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.network.serving import Sources
     from lss_motion.stage.model import Stage
     from lss_motion.studio.stage_service import StageService
     from lss_motion.studio.studio import Studio
@@ -49,8 +50,10 @@ At the terminal, Enter is GO, Escape stops, other keys are those of cues with `k
 change are taken between two shows; one with an error never is, the last good one stays. Ctrl-C ends
 the show within the limits and gives the servos their settings back; twice ends it at once.
 
-Of several figures each is served by itself, without pages: the conductor plans and starts the show
-for all when GO is typed (g, Enter; ? and Enter for the rest), or with --go when all are ready.
+Of several figures each is served by itself. That of the conductor has the page, with the cues, all
+computers and one STOP for all; with --go it plays the first show as soon as all are there. At the
+others s and Enter stops all, ? and Enter tells the rest. With --no-pages the conductor is steered
+like that, too, and cues fire only by their names.
 
 Exit codes: 0 ended; 2 a file or argument must change; 3 a show cannot be planned; 4 the port or the
 servos are not there (with --wait-port they are waited for); 5 the robot did not follow.
@@ -95,6 +98,9 @@ def add_to(commands: Commands) -> None:
     )
     serve.add_argument("--figure", metavar="NAME", help="of a stage with several: which one")
     serve.add_argument(
+        "--no-pages", action="store_true", help="with --figure: steer by lines of the terminal"
+    )
+    serve.add_argument(
         "--go", action="store_true", help="with --figure: start as soon as all figures are ready"
     )
     serve.add_argument(
@@ -129,7 +135,9 @@ def _serve(arguments: argparse.Namespace) -> int:
         raise InputError("is no stage file, which has `stage: NAME`", path=arguments.stage)
     stage = load_stage(arguments.stage)
     if stage.figures or arguments.figure is not None:
-        return _serve_figure(arguments, stage)
+        has_pages = arguments.figure == stage.conductor is not None and not arguments.no_pages
+        if not has_pages:
+            return _serve_figure(arguments, stage)
     with tempfile.TemporaryDirectory(prefix="lss-stage-") as views, _keys_restored():
         return _run(arguments, stage, Path(views))
 
@@ -143,14 +151,31 @@ def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
             f"has several figures, each of which is served by itself: --figure, one of {known}",
             path=arguments.stage,
         )
+    sources = None
+    if arguments.figure in stage.figures and stage.figures[arguments.figure].listen is not None:
+        sources = _sources(stage, arguments.figure)
     return serve_figure(
         stage,
         arguments.figure,
+        sources=sources,
         port=arguments.port,
         trust_network=arguments.trust_network,
         starts=arguments.go,
         is_real_time=arguments.real_time,
     )
+
+
+def _sources(stage: Stage, figure: str) -> Sources:
+    """Return what opens the triggers at a figure, in a thread of their own."""
+    from dataclasses import replace
+
+    with needing(INSTALL):
+        from lss_motion.studio.inlets import inlets_thread, require_packages
+    listen = stage.figures[figure].listen
+    assert listen is not None
+    own = replace(stage, listen=listen)
+    require_packages(own)
+    return lambda take: inlets_thread(own, take, lambda text: put(text, sys.stderr))
 
 
 def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
@@ -172,6 +197,13 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
         "start_at": None if start_at is None else start_at.isoformat(),
         "is_real_time": arguments.real_time,
     }
+    if stage.figures:
+        from lss_motion.network.serving import settings_of
+        from lss_motion.network.settings import check_settings
+
+        check_settings(settings_of(stage, arguments.figure, is_trusted=arguments.trust_network))
+        job |= {"goes": arguments.go, "trusts_network": arguments.trust_network}
+        del job["waits_for_port"]
     options = StudioOptions(
         path=arguments.stage,
         robot_path=arguments.robot,
@@ -183,6 +215,7 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
         key=tls.key,
         token=_token(arguments.stage, is_new=arguments.new_token),
         views=views,
+        figure=arguments.figure,
         is_early=arguments.wait_port,
         desk=DeskOptions(
             on_lost=arguments.on_operator_lost, may_run=arguments.allow_run, stage=job

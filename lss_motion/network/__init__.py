@@ -17,9 +17,11 @@ that clock to within a bound, and its player follows the legs (`player.following
 | `peer`      | the session with the others: the only importer of zenoh     | `host`             |
 | `host`      | one computer: takes, decides, acts                          | `serving`          |
 | `player_link` | starts and steers the player of a figure                  | `serving`          |
-| `examine`   | a whole stage before the doors open: `doctor --stage`       | `serving`, `cli`   |
+| `examine`   | a whole stage before the doors open: `doctor --stage`       | `host`, `cli`      |
 | `serving`   | one figure of a stage, until it is ended                    | `cli`              |
+| `conducting` | the director of a stage, and the conductor of its figures | `stage_job`        |
+| `stage_job` | the conductor's process, steered by the server of its pages | `studio`           |
 
-`clocks`, `messages`, `conductor` and `figure` have no network, clock or port, and tests play
-hundreds of computers in virtual time with them (`tools/benches/stage_model.py`).
+`clocks`, `messages`, `conductor`, `figure` and `conducting` have no network, clock or port, and
+tests play hundreds of computers in virtual time with them (`tools/benches/stage_model.py`).
 """

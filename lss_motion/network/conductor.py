@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from lss_motion.network.messages import Cast, Wanted
+    from lss_motion.player.show_clock import Leg
 
 Others = Literal["go_on", "slow", "hold"]
 
@@ -93,6 +94,7 @@ class Conductor:
         self._is_paused = False
         self._limit = 1.0
         """What `others` allows at present."""
+        self._start_s = 0.0
         self._notes: list[str] = []
         self._begun_ns: int | None = None
 
@@ -111,6 +113,7 @@ class Conductor:
             cast=self._cast_hash,
             leg=self.leg,
             freewheel_s=self.freewheel_s,
+            start_s=self._start_s,
             examines=self.examines,
         )
 
@@ -170,8 +173,11 @@ class Conductor:
         self.cast, self._cast_hash = cast, hash_of(packed(cast))
         self.wanted, self.leg = "ready", None
 
-    def arm(self, now_ns: int) -> None:
-        """Let the robots move to the start; raise `InputError` that names figures not ready."""
+    def arm(self, now_ns: int, start_s: float = 0.0) -> None:
+        """Let the robots move to the start, or another place of the show.
+
+        Raises `InputError` that names figures that are not ready.
+        """
         self._require_sole()
         if self.cast is None:
             raise InputError("no show is loaded")
@@ -180,11 +186,15 @@ class Conductor:
         if problems := self.problems(now_ns):
             raise InputError("not all figures are ready: " + "; ".join(problems))
         self.run += 1
+        self._start_s = start_s
         self.wanted, self.leg = "armed", None
         self._limit, self._is_paused = 1.0, False
 
-    def start(self, now_ns: int, lead_ns: int = LEAD_NS) -> NetworkLeg:
-        """Make the first leg; raise `InputError` that names whose robot is not at the start."""
+    def start(self, now_ns: int, leader: Leg | None = None) -> NetworkLeg:
+        """Make the first leg, that of a leader if there is one.
+
+        Raises `InputError` that names whose robot is not at the start.
+        """
         self._require_sole()
         if self.leg is not None:
             return self.leg
@@ -192,9 +202,11 @@ class Conductor:
         if self.wanted != "armed" or waiting:
             names = ", ".join(waiting) or "none was asked"
             raise InputError(f"not all figures stand at the start: {names}")
-        self.leg = NetworkLeg(
-            number=1, instant_ns=now_ns + max(lead_ns, LEAD_NS), show_s=0.0, rate=1.0
-        )
+        at_ns = now_ns + LEAD_NS
+        show_s, rate = self._start_s, 1.0
+        if leader is not None:
+            show_s, rate = leader.at_s(at_ns), min(leader.rate, 1.1)
+        self.leg = NetworkLeg(number=1, instant_ns=at_ns, show_s=show_s, rate=rate)
         return self.leg
 
     def pause(self, now_ns: int) -> None:

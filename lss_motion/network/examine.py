@@ -1,40 +1,57 @@
 """Examine a whole stage before the doors open: `lss-motion doctor --stage STAGE.yaml`.
 
-It is run on the conductor's computer, while the other figures are served and this one is not. It
-asks every figure to examine its own computer and servos (`lss-motion doctor ROBOT`), and compares
-versions, robot files and clocks. Nothing moves.
+It is run on the conductor's computer, while the other figures are served. It asks every figure to
+examine its own computer and servos (`lss-motion doctor ROBOT`), and compares versions, robot files
+and clocks. Nothing moves. If the conductor is served, it is the one that asks (`Examining`), and
+the doctor gets what it has found (`examined_by_conductor`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import secrets
 import shutil
 import subprocess
 import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
+from lss_motion.errors import BusError, InputError
 from lss_motion.network.clocks import REFUSE_NS, WARN_NS
-from lss_motion.network.messages import Finding, Findings
+from lss_motion.network.messages import Ask, Examined, Finding, Findings, packed, parse
 from lss_motion.network.plans import robot_hash
-from lss_motion.units import NS_PER_MS
+from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.network.conductor import FigureSeat
-    from lss_motion.network.host import Host
+    from lss_motion.network.conductor import Conductor, FigureSeat
+    from lss_motion.network.figure import Figure
+    from lss_motion.network.settings import NetworkSettings
     from lss_motion.robot.model import Robot
 
 WAIT_S: Final = 30.0
 """Figures that have not examined themselves by then are named as they are."""
 DOCTOR_S: Final = 25.0
+DONE_S: Final = 5.0
+"""A conductor that is served has answered so long after it has given up a figure."""
 DISK_MIN_BYTES: Final = 200_000_000
 """Chosen: a night of logs with their bound, and the plans of some shows."""
 TEXTS_MAX: Final = 30
 """Findings of one figure that are sent: what is bad first."""
+
+
+class Examiner(Protocol):
+    """What is needed of a `host.Host` that conducts."""
+
+    conductor: Conductor | None
+    figure: Figure
+    findings: dict[str, Findings]
+
+    def turn(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +99,7 @@ def _disk(folder: Path) -> Finding:
 
 
 def examine_stage(
-    host: Host, robots: Mapping[str, Robot], wait_s: float | None = None
+    host: Examiner, robots: Mapping[str, Robot], wait_s: float | None = None
 ) -> list[Row]:
     """Let all figures examine themselves; return what was found, figure by figure.
 
@@ -106,7 +123,87 @@ def examine_stage(
     return rows
 
 
-def _is_known(host: Host, seat: FigureSeat) -> bool:
+class Examining:
+    """An examination by a conductor that is served; `turn` is called until it is done."""
+
+    def __init__(self, host: Examiner, asked: str, now_ns: int) -> None:
+        conductor = host.conductor
+        assert conductor is not None, "the conductor's computer examines"
+        conductor.examines += 1
+        self._host, self._conductor, self._asked = host, conductor, asked
+        self._number = conductor.examines
+        self._end_ns = now_ns + round(WAIT_S * NS_PER_S)
+
+    def turn(self, now_ns: int) -> list[Examined] | None:
+        """Return what was found about each figure; None: it is not done yet."""
+        seats = self._conductor.seats
+        if now_ns < self._end_ns and not all(self._is_done(one, now_ns) for one in seats.values()):
+            return None
+        cast = self._conductor.cast
+        parts = {} if cast is None else cast.parts
+        found = []
+        for name, seat in seats.items():
+            rows = rows_of(
+                seat,
+                self._findings(name),
+                self._host.figure.version,
+                parts[name].robot if name in parts else None,
+            )
+            if seat.status is not None and seat.is_lost(now_ns):
+                rows.insert(0, Row(name, "network", "bad", "is lost: nothing arrives from it"))
+            texts = tuple(
+                Finding(level=row.level, subject=row.subject[:64], text=row.text[:300])
+                for row in rows
+            )
+            found.append(Examined(figure=name, asked=self._asked, rows=texts))
+        return found
+
+    def _findings(self, name: str) -> Findings | None:
+        found = self._host.findings.get(name)
+        return None if found is None or found.number < self._number else found
+
+    def _is_done(self, seat: FigureSeat, now_ns: int) -> bool:
+        """Return whether nothing more is to be expected: a figure that plays examines nothing."""
+        status = seat.status
+        if status is None or seat.is_lost(now_ns):
+            return False
+        return self._findings(seat.name) is not None and status.bound_ns is not None
+
+
+def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None) -> list[Row]:
+    """Return what the conductor that is served on this computer finds about every figure.
+
+    Raises `BusError` if it does not answer.
+    """
+    from lss_motion.network.peer import Peer
+
+    asked = secrets.token_hex(8)
+    ask = Ask(what="examine", number=1, instance=asked)
+    found: dict[str, Examined] = {}
+    end = time.monotonic() + (WAIT_S if wait_s is None else wait_s) + DONE_S
+    asked_again = 0.0
+    with Peer(replace(settings, is_visitor=True)) as peer:
+        peer.subscribe("examined/*")
+        while time.monotonic() < end and len(found) < len(settings.figures):
+            if time.monotonic() > asked_again:
+                asked_again = time.monotonic() + 1.0
+                peer.send(f"figure/{settings.conductor}/ask", packed(ask))
+            for arrival in peer.take(0.1):
+                with contextlib.suppress(InputError):
+                    one = parse(Examined, arrival.content)
+                    if one.asked == asked:
+                        found[one.figure] = one
+    if not found:
+        raise BusError(f"the conductor at {settings.address} does not answer")
+    return [
+        Row(name, row.subject, row.level, row.text)
+        for name in settings.figures
+        if name in found
+        for row in found[name].rows
+    ]
+
+
+def _is_known(host: Examiner, seat: FigureSeat) -> bool:
     has_clock = seat.status is not None and seat.status.bound_ns is not None
     return has_clock and seat.name in host.findings
 

@@ -55,6 +55,10 @@ class PlayerView:
     phase: PlayerPhase = "none"
     show_s: float | None = None
     text: str = ""
+    cause: str = ""
+    """Kind of the fault by which it `failed`, or `error`."""
+    hottest_c: float | None = None
+    late_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +253,9 @@ class Figure:
             round_trip_ns=self.round_trip_ns,
             show_s=show_s,
             off_s=off_s,
+            hottest_c=self.player.hottest_c,
+            late_us=self.player.late_us,
+            cause=self.player.cause if self.state == "stopped" else "",
             text=self.text[:400],
         )
 
@@ -444,7 +451,7 @@ class Figure:
     def _join_s(self, now_ns: int) -> float:
         """Return the show time at which the robot must stand to join the show."""
         if not self._legs or self.clock is None:
-            return 0.0
+            return 0.0 if self.beat is None else self.beat.start_s
         leg = self._legs[-1]
         duration_s = None if self._cast is None else self._cast.duration_s
         show_s = max(0.0, leg.at_s(self.clock.other_ns(now_ns) + ns_from_s(ARM_S)))

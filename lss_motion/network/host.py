@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from lss_motion.errors import InputError
 from lss_motion.network.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
 from lss_motion.network.conductor import BEAT_NS, Conductor
+from lss_motion.network.examine import Examining
 from lss_motion.network.figure import (
     Action,
     Arm,
@@ -39,6 +40,7 @@ from lss_motion.network.messages import (
     parse,
 )
 from lss_motion.network.plans import plan_problem, robot_hash
+from lss_motion.player.following import RUNNING_RATE
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from lss_motion.network.peer import Arrival, Peer
     from lss_motion.network.plans import PlanStore
     from lss_motion.network.settings import NetworkSettings
+    from lss_motion.player.show_clock import Leg
     from lss_motion.robot.model import Robot
 
 TURN_S: Final = 0.005
@@ -57,12 +60,21 @@ STATUS_NS: Final = 200 * NS_PER_MS
 STOPS: Final = 10
 STOP_NS: Final = 50 * NS_PER_MS
 """A stop is sent so often, so far apart; every beat repeats it besides."""
-ASKS_MAX: Final = 20
+ASKS_MAX: Final = 200
+ASK_TIMES: Final = 3
+"""A wish is sent so often: TCP loses none, but a full queue may."""
 ARM_MAX_NS: Final = 60 * NS_PER_S
 """A robot that is not at its start by then is named, and the start is given up."""
+NEAR_S: Final = 5.0
+"""A leader that is further away may still be wound somewhere else."""
 OVER_MAX_S: Final = 15.0
 """A show that some figure has not ended by then is over. Chosen: figures give up before
 (`figure.OVER_S`), and their servos get their settings back."""
+
+
+def _is_near(leader: Leg, now_ns: int) -> bool:
+    """Return whether a leader runs, and is not further than `NEAR_S` before the show."""
+    return leader.rate >= RUNNING_RATE and leader.at_s(now_ns) >= -NEAR_S
 
 
 class PlayerEnd(Protocol):
@@ -123,8 +135,10 @@ class Host:
                 others=others,
                 freewheel_s=freewheel_s,
             )
-        self.cues: deque[tuple[str, str]] = deque(maxlen=100)
-        """Cues that figures asked for: figure and cue."""
+        self.cues: deque[tuple[str, Ask]] = deque(maxlen=100)
+        """Cues and triggers that figures asked for, each with the figure."""
+        self._leader: Callable[[], Leg | None] | None = None
+        self._examining: Examining | None = None
         self.findings: dict[str, Findings] = {}
         """What figures found about themselves (conductor only)."""
         self._examine, self._examined = examine, 0
@@ -169,8 +183,11 @@ class Host:
         conductor.load(cast)
         self.log(f"loads {cast.show!r}")
 
-    def go(self) -> None:
-        """Arm all figures, and start when all stand at the start; raises `InputError`."""
+    def go(self, start_s: float = 0.0, leader: Callable[[], Leg | None] | None = None) -> None:
+        """Arm all figures, and start when all stand at their place; raises `InputError`.
+
+        With a `leader`, the show begins where that is, as soon as it is near.
+        """
         conductor = self.conductor
         if conductor is None:
             self._ask("go")
@@ -180,8 +197,8 @@ class Host:
             raise InputError("the show plays, or is about to")
         for text in conductor.warnings():
             self.log(f"warning: {text}")
-        conductor.arm(now_ns)
-        self._arming_ns = now_ns
+        conductor.arm(now_ns, start_s)
+        self._arming_ns, self._leader = now_ns, leader
         self.log("GO: the robots move to their start")
 
     def stop(self) -> None:
@@ -201,17 +218,23 @@ class Host:
 
     def cue(self, name: str) -> None:
         """Fire a cue of the stage, from any computer."""
-        if self.conductor is None:
-            self._ask("cue", name)
-        else:
-            self.cues.append((self.settings.figure, name))
+        self._ask("cue", cue=name)
 
-    def _ask(self, what: str, cue: str = "") -> None:
+    def trigger(
+        self, kind: str, address: str, value: float | None, channel: int | None, source: str
+    ) -> None:
+        """Hand a trigger that came to this computer to the conductor."""
+        self._ask("trigger", kind=kind, cue=address, value=value, channel=channel, source=source)
+
+    def _ask(self, what: str, **more: object) -> None:
         self._ask_count += 1
         ask = Ask.model_validate(
-            {"what": what, "cue": cue, "number": self._ask_count, "instance": self.instance}
+            {"what": what, "number": self._ask_count, "instance": self.instance, **more}
         )
-        self._asks.extend([ask] * 5)
+        if self.conductor is None:
+            self._asks.extend([ask] * ASK_TIMES)
+        else:
+            self.cues.append((self.settings.figure, ask))
 
     def _require_conductor(self) -> Conductor:
         if self.conductor is None:
@@ -285,17 +308,15 @@ class Host:
                 self._obey(ask, parts[1])
 
     def _obey(self, ask: Ask, figure: str) -> None:
-        self.log(f"figure {figure} asks for {ask.what}{f' {ask.cue}' if ask.cue else ''}")
+        name = f" {ask.kind} {ask.cue}".rstrip()
+        self.log(f"figure {figure} asks for {ask.what}{name}")
         match ask.what:
             case "stop":
                 self.stop()
-            case "cue":
-                self.cues.append((figure, ask.cue))
-            case "go":
-                try:
-                    self.go()
-                except InputError as refused:
-                    self.log(f"refused: {refused}")
+            case "examine":
+                self._examining = Examining(self, ask.instance, self._now_ns())
+            case _:
+                self.cues.append((figure, ask))
 
     def _take_token(self, parts: list[str], *, is_alive: bool) -> None:
         if parts[0] == "conductor":
@@ -321,6 +342,10 @@ class Host:
     def _conduct(self, conductor: Conductor, now_ns: int) -> None:
         for text in conductor.tick(now_ns):
             self.log(text)
+        if self._examining is not None and (found := self._examining.turn(now_ns)) is not None:
+            self._examining = None
+            for one in found:
+                self.peer.send(f"examined/{one.figure}", packed(one))
         if self._arming_ns is not None:
             self._start(conductor, self._arming_ns, now_ns)
         if conductor.leg is not None and self._is_over(conductor, now_ns):
@@ -347,8 +372,11 @@ class Host:
         if conductor.wanted != "armed":
             self._arming_ns = None
         elif conductor.is_armed(now_ns):
+            leader = None if self._leader is None else self._leader()
+            if self._leader is not None and (leader is None or not _is_near(leader, now_ns)):
+                return
             self._arming_ns = None
-            conductor.start(now_ns)
+            conductor.start(now_ns, leader)
             self.log(f"all stand at the start after {s_from_ns(now_ns - since_ns):.1f} s: starts")
         elif now_ns - since_ns > ARM_MAX_NS or conductor.has_failed(now_ns):
             self.log("the start is given up: " + "; ".join(conductor.problems(now_ns)))

@@ -10,6 +10,7 @@ and however often, the newest is enough. So nothing is acknowledged and nothing 
 | `figure/NAME/status`               | `Status`          | figure, 5 Hz, and on every change       |
 | `figure/NAME/ask`                  | `Ask`             | figure: a cue, GO or STOP for the stage |
 | `figure/NAME/findings`             | `Findings`        | figure, when the conductor asks for it  |
+| `examined/NAME`                    | `Examined`        | conductor, when `doctor` asks           |
 | `figure/NAME/clock`                | `ClockQuestion`   | figure, 8 Hz                            |
 | `clock/NAME`                       | `ClockAnswer`     | conductor                               |
 | `plan/SHA256`                      | bytes of a plan or a `Cast` | conductor, when it is queried |
@@ -85,6 +86,8 @@ class Beat(Message):
     cast: Hash | None = None
     leg: NetworkLeg | None = None
     freewheel_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 2.0
+    start_s: Annotated[float, Field(ge=0.0, le=1e7)] = 0.0
+    """Show time at which the robots stand while they are armed."""
     examines: Annotated[int, Field(ge=0)] = 0
     """Each figure without a player examines its computer and servos once for every number."""
 
@@ -157,6 +160,11 @@ class Status(Message):
     show_s: float | None = None
     off_s: float | None = None
     """How far its show is from the leg."""
+    hottest_c: float | None = None
+    late_us: int | None = None
+    """The worst lateness of a move in this show."""
+    cause: Annotated[str, Field(max_length=32)] = ""
+    """Kind of the fault that ended its player (`robot.on_fault.Cause`), or `error`; empty: none."""
     text: Note = ""
     """The last thing a person should know."""
 
@@ -164,8 +172,14 @@ class Status(Message):
 class Ask(Message):
     """A figure's wish to the conductor."""
 
-    what: Literal["go", "stop", "cue"]
-    cue: Annotated[str, Field(max_length=64)] = ""
+    what: Literal["go", "stop", "cue", "trigger", "examine"]
+    cue: Annotated[str, Field(max_length=256)] = ""
+    """Name of the cue, or address of the trigger."""
+    kind: Annotated[str, Field(max_length=16)] = ""
+    """Of a trigger, as those of `stage.model.Signal`."""
+    value: float | None = None
+    channel: int | None = None
+    source: Annotated[str, Field(max_length=200)] = ""
     number: Annotated[int, Field(ge=0)]
     """Counts the wishes of this figure's process: a repeated one is the same."""
     instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
@@ -185,6 +199,15 @@ class Findings(Message):
     figure: FigureName
     number: Annotated[int, Field(ge=0)]
     findings: Annotated[tuple[Finding, ...], Field(max_length=40, strict=False)]
+
+
+class Examined(Message):
+    """What was found about one figure, for `doctor --stage` while the conductor is served."""
+
+    figure: FigureName
+    asked: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    """The `instance` of the question."""
+    rows: Annotated[tuple[Finding, ...], Field(max_length=60, strict=False)]
 
 
 class ClockQuestion(Message):

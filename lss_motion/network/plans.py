@@ -18,6 +18,7 @@ import json
 import os
 import tempfile
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, LssMotionError
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.shows import Show
+    from lss_motion.stage.check import Planned
+    from lss_motion.stage.model import Stage
 
 SEPARATOR: Final = "."
 """Between the name of a figure and that of its joint, bus, sensor, pose or group."""
@@ -143,34 +146,55 @@ def part_of(program: Program, figure: str, robot: Robot, *, is_conductor: bool) 
     )
 
 
-def planned_cast(
-    show: str, source: Path | Mapping[str, Path], robots: Mapping[str, Robot], conductor: str
-) -> tuple[Cast, dict[str, bytes]]:
-    """Plan a show for all figures; return its cast, and the plans by their hash.
+@dataclasses.dataclass(frozen=True, slots=True)
+class PlannedCast:
+    """A show planned for all figures."""
 
-    `source` is a sequence with the joints of all figures, or a sequence for each figure. Raises
-    what planning raises.
+    cast: Cast
+    contents: Mapping[str, bytes]
+    """The plans, and the cast itself, by hash."""
+    programs: Mapping[str, Program]
+    """What each figure plays."""
+    shows: Mapping[str, Show]
+    """By figure, or one with the joints of all, named ``."""
+
+
+def planned_cast(
+    show: str,
+    source: Path | Mapping[str, Path],
+    robots: Mapping[str, Robot],
+    conductor: str,
+) -> PlannedCast:
+    """Plan a show for all figures; raises what planning raises.
+
+    `source` is a sequence with the joints of all figures, or a sequence for each figure. It is
+    planned with headroom, since every figure trims its clock.
     """
     from lss_motion.program.text import from_text
     from lss_motion.shows import prepare
 
+    shows: dict[str, Show] = {}
     programs: dict[str, Program] = {}
     if isinstance(source, Mapping):
         for figure, path in source.items():
-            shown = _prepared(path, robots[figure])
-            programs[figure] = part_of_alone(shown.program, robots[figure], figure == conductor)
+            robot = robots[figure]
+            shows[figure] = prepare(path, path, partial(_given, robot), is_following=True)
+            program = shows[figure].program
+            programs[figure] = part_of_alone(program, robot, figure == conductor)
     else:
         whole = joined_robot("stage", robots)
-        program = prepare(source, source, lambda _path: whole).program
-        if program.waits:
-            raise InputError(
-                "a show for several figures cannot wait for a sensor: use a cue of the stage",
-                path=source,
-            )
+        shows[""] = prepare(source, source, partial(_given, whole), is_following=True)
+        program = shows[""].program
         for figure, robot in robots.items():
             part = part_of(program, figure, robot, is_conductor=figure == conductor)
             if part.start_deg:
                 programs[figure] = part
+    for one in shows.values():
+        if one.program.waits:
+            raise InputError(
+                "a show for several figures cannot wait for a sensor: use a cue of the stage",
+                path=source if not isinstance(source, Mapping) else None,
+            )
     plans, parts, duration_s = {}, {}, 0.0
     for figure, program in programs.items():
         content = program.to_text().encode()
@@ -180,7 +204,41 @@ def planned_cast(
     is_endless = duration_s == float("inf")
     cast = Cast(show=show, duration_s=None if is_endless else duration_s, parts=parts)
     plans[hash_of(packed(cast))] = packed(cast)
-    return cast, plans
+    return PlannedCast(cast, plans, programs, shows)
+
+
+def _given(robot: Robot, _path: Path) -> Robot:
+    return robot
+
+
+def planned_stage(stage: Stage, robots: Mapping[str, Robot]) -> dict[str, PlannedCast]:
+    """Plan every show of a stage for all figures; raises one error for all that cannot be."""
+    from lss_motion.stage.check import as_one
+
+    assert stage.conductor is not None
+    made: dict[str, PlannedCast] = {}
+    errors: list[tuple[int | None, str, LssMotionError]] = []
+    for entry in stage.shows.values():
+        source = entry.paths[""] if "" in entry.paths else dict(entry.paths)
+        try:
+            made[entry.name] = planned_cast(entry.name, source, robots, stage.conductor)
+        except LssMotionError as error:
+            errors.append((entry.line, entry.name, error))
+    if errors:
+        raise as_one(stage, errors)
+    return made
+
+
+def planned_figures(stage: Stage, robots: Mapping[str, Robot]) -> list[tuple[str, Planned]]:
+    """Return the shows of each figure, planned; those with the joints of all have the name ``."""
+    from lss_motion.stage.check import Planned
+
+    made = planned_stage(stage, robots)
+    shows = {
+        figure: {name: one.shows[figure] for name, one in made.items() if figure in one.shows}
+        for figure in ("", *stage.figures)
+    }
+    return [(figure, Planned(stage=stage, shows=own)) for figure, own in shows.items() if own]
 
 
 def part_of_alone(program: Program, robot: Robot, is_conductor: bool) -> Program:  # noqa: FBT001
@@ -190,12 +248,6 @@ def part_of_alone(program: Program, robot: Robot, is_conductor: bool) -> Program
         return named
     kept = [dataclasses.replace(cue, sound="", run="", say="") for cue in named.cues if cue.led]
     return dataclasses.replace(named, cues=tuple(kept))
-
-
-def _prepared(path: Path, robot: Robot) -> Show:
-    from lss_motion.shows import prepare
-
-    return prepare(path, path, lambda _path: robot)
 
 
 def read_plan(content: bytes, robot: Robot) -> Program:

@@ -10,9 +10,10 @@ import contextlib
 import select
 import subprocess
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import LssMotionError
+from lss_motion.errors import EXIT_UNREACHABLE, LssMotionError
 from lss_motion.network.figure import PlayerView
 from lss_motion.network.plans import read_plan
 from lss_motion.player.events import Phase
@@ -23,6 +24,8 @@ from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.player_end import LossRule
 from lss_motion.remote.process import packed, start_process
 from lss_motion.remote.telemetry import Telemetry
+from lss_motion.robot.on_fault import Cause
+from lss_motion.runtime.sound_choice import SoundChoice
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,9 +52,12 @@ class PlayerLink:
         *,
         freewheel_s: float = 2.0,
         log: Callable[[str], None] = lambda _text: None,
+        pass_on: Callable[[Kind, bytes], None] = lambda _kind, _content: None,
         **options: Any,  # noqa: ANN401
     ) -> None:
+        """`pass_on` gets its events and telemetry, for operators."""
         self._robot, self._options, self._log = robot, options, log
+        self._pass_on = pass_on
         self._rule = FollowRule(
             freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE
         )
@@ -61,6 +67,9 @@ class PlayerLink:
         self._phase = ""
         self._show_s: float | None = None
         self._first_ns: int | None = None
+        self._cause = ""
+        self._hottest_c: float | None = None
+        self._late_us: int | None = None
         self._number = 0
         self._is_stopped = False
         self._leaving: list[subprocess.Popen[bytes]] = []
@@ -75,19 +84,25 @@ class PlayerLink:
         try:
             program = read_plan(plan, self._robot)
         except LssMotionError as error:
-            self._view = PlayerView("failed", None, str(error))
+            self._view = PlayerView("failed", None, str(error), cause="error")
             return
         job = Job(
             program=program,
             robot=self._robot,
             rule=LossRule(on_lost="stop"),
             follow=self._rule,
-            options={"start_s": start_s or None, **self._options},
+            # Sounds of the conductor's robot follow the legs, as the robot does.
+            options={
+                "start_s": start_s or None,
+                "sound": SoundChoice(leads=False),
+                **self._options,
+            },
         )
         self._process, end = start_process(packed(job))
         self._link = Link(end)
         self._link.set_blocking(is_blocking=False)
         self._phase, self._show_s, self._first_ns = "", None, None
+        self._cause, self._hottest_c, self._late_us = "", None, None
         self._is_stopped = False
         self._view = PlayerView("starting")
 
@@ -124,9 +139,11 @@ class PlayerLink:
             self._view = PlayerView("standing", self._show_s)
         else:
             self._view = PlayerView("playing", self._show_s)
+        self._view = replace(self._view, hottest_c=self._hottest_c, late_us=self._late_us)
         return self._view
 
     def _take(self, kind: Kind, content: bytes) -> None:
+        self._pass_on(kind, content)
         if kind is Kind.TELEMETRY:
             self._show_s = Telemetry.from_bytes(content).show_s
         elif kind is Kind.EVENT:
@@ -135,7 +152,12 @@ class PlayerLink:
                     self._phase = event.phase
                 case m.Warned() as event:
                     self._log(f"player: {event.text}")
+                case m.Health() as event:
+                    known = [one.temperature_c for one in event.joints.values()]
+                    self._hottest_c = max((c for c in known if c is not None), default=None)
+                    self._late_us = event.late_us
                 case m.Faulted() as event:
+                    self._cause = event.kind
                     self._log(f"player: joint {event.joint!r}: {event.kind}: {event.step}")
                 case m.Refused() as event:
                     self._log(f"player refused: {event.text}")
@@ -151,14 +173,15 @@ class PlayerLink:
             self._view = PlayerView("none")
             self._phase = Phase.DONE.value
         else:
-            self._view = PlayerView("failed", None, event.error or event.outcome)
+            lost = Cause.LOST_PORT.value if event.exit_code == EXIT_UNREACHABLE else "error"
+            cause = self._cause or lost
+            self._view = PlayerView("failed", None, event.error or event.outcome, cause=cause)
 
     def _gone(self) -> None:
         """Forget the process: it has ended."""
         if self._view.phase not in ("ended", "failed") and self._phase != Phase.DONE.value:
-            self._view = PlayerView(
-                "failed", None, "its process is gone; the servos come to rest by themselves"
-            )
+            text = "its process is gone; the servos come to rest by themselves"
+            self._view = PlayerView("failed", None, text, cause="error")
         elif self._phase == Phase.DONE.value and self._view.phase not in ("ended", "failed"):
             self._view = PlayerView("none")
         if self._link is not None:

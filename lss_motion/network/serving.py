@@ -17,27 +17,39 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from lss_motion.errors import EXIT_FINISHED, InputError, LssMotionError
 from lss_motion.network.host import Host
 from lss_motion.network.plans import PlanStore, planned_cast
 from lss_motion.network.player_link import PlayerLink
 from lss_motion.network.settings import PORT, NetworkSettings, check_settings
+from lss_motion.remote import schema as m
+from lss_motion.remote import stage_messages as s
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from lss_motion.network.messages import Cast
+    from lss_motion.network.plans import PlannedCast
+    from lss_motion.remote.schema import AnyOperation
     from lss_motion.robot.model import Robot
     from lss_motion.stage.model import Stage
+
+    Sources = Callable[["Take"], AbstractContextManager[None]]
 
 HELP: Final = (
     "keys, each with Enter: g GO · l SHOW load a show · p pause · r resume · j S jump to a show "
     "time · s STOP all · c CUE fire a cue · ? states · q end"
 )
+
+
+class Take(Protocol):
+    """Takes what a source of triggers has received, from any thread."""
+
+    def __call__(self, operation: AnyOperation, origin: str) -> None: ...
 
 
 def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettings:
@@ -70,11 +82,13 @@ def serve_figure(
     starts: bool = False,
     folder: Path | None = None,
     is_real_time: bool = False,
+    sources: Sources | None = None,
 ) -> int:
     """Serve one figure until Ctrl-C or `q`; return the exit code.
 
     `port` replaces the port of its robot file. With `starts`, the conductor starts its first show
     as soon as all figures are ready. Plans are kept in `folder`, or else in the user's cache.
+    `sources` opens the triggers at this figure, and hands over what arrives, in any thread.
     """
     log = _log(figure)
     host, robots = host_of(
@@ -89,7 +103,10 @@ def serve_figure(
     settings = host.settings
     log(f"{'conducts' if settings.is_conductor else 'is a figure of'} stage {stage.name!r}")
     commands = Commands(host, stage, robots, log, starts=starts)
-    with _signals(commands):
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_signals(commands))
+        if sources is not None:
+            stack.enter_context(sources(commands.put_operation))
         try:
             while not commands.has_ended:
                 host.turn()
@@ -111,36 +128,62 @@ def host_of(
     is_real_time: bool = False,
 ) -> tuple[Host, dict[str, Robot]]:
     """Return the host of one figure, and the robots that it knows: the conductor's knows all."""
-    from lss_motion import __version__
     from lss_motion.connection import with_port
+    from lss_motion.robot.load import load_robot
+
+    check_settings(settings_of(stage, figure, is_trusted=trust_network))
+    robots = {
+        name: load_robot(one.robot_path)
+        for name, one in stage.figures.items()
+        if figure in (name, stage.conductor)
+    }
+    robot = with_port(robots[figure], port)
+    host = host_for(
+        stage,
+        figure,
+        robot,
+        trust_network=trust_network,
+        folder=folder,
+        log=log,
+        is_real_time=is_real_time,
+        examines_port=port,
+    )
+    return host, robots
+
+
+def host_for(
+    stage: Stage,
+    figure: str,
+    robot: Robot,
+    *,
+    trust_network: bool = False,
+    folder: Path | None = None,
+    log: Callable[[str], None] = lambda _text: None,
+    examines_port: str | None = None,
+    **options: Any,  # noqa: ANN401
+) -> Host:
+    """Return the host of one figure with its robot; `options` are those of its `PlayerLink`."""
+    from lss_motion import __version__
     from lss_motion.network.examine import examined
     from lss_motion.network.peer import Peer
-    from lss_motion.robot.load import load_robot
     from lss_motion.trajectory.plan_cache import cache_directory
 
     settings = settings_of(stage, figure, is_trusted=trust_network)
     check_settings(settings)
-    robots = {
-        name: load_robot(one.robot_path)
-        for name, one in stage.figures.items()
-        if name == figure or settings.is_conductor
-    }
     freewheel_s = stage.network.freewheel_s
-    robot = with_port(robots[figure], port)
     plans = folder or cache_directory() / "network"
-    host = Host(
+    return Host(
         settings,
         robot,
-        PlayerLink(robot, freewheel_s=freewheel_s, log=log, is_real_time=is_real_time),
+        PlayerLink(robot, freewheel_s=freewheel_s, log=log, **options),
         PlanStore(plans),
         lambda instance: Peer(settings, clock_id=instance if settings.is_conductor else ""),
         version=__version__,
         others=stage.retry.others,
         freewheel_s=freewheel_s,
         log=log,
-        examine=lambda number: examined(figure, number, robot, port, plans),
+        examine=lambda number: examined(figure, number, robot, examines_port, plans),
     )
-    return host, robots
 
 
 class Commands:
@@ -158,6 +201,7 @@ class Commands:
         self.has_ended = False
         self._host, self._stage, self._robots, self._log = host, stage, robots, log
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._operations: queue.SimpleQueue[tuple[AnyOperation, str]] = queue.SimpleQueue()
         # A plan in this process would keep it from sending beats, and figures would hold.
         self._planners = ProcessPoolExecutor(
             1,
@@ -165,7 +209,7 @@ class Commands:
             signal.signal,
             (signal.SIGINT, signal.SIG_IGN),
         )
-        self._plan: tuple[str, Future[tuple[Cast, dict[str, bytes]]]] | None = None
+        self._plan: tuple[str, Future[PlannedCast]] | None = None
         self._starts = starts
         threading.Thread(target=self._read, daemon=True).start()
         if host.conductor is not None and stage.shows:
@@ -174,6 +218,30 @@ class Commands:
     def put(self, line: str) -> None:
         """Take a line as if it had been typed."""
         self._lines.put(line)
+
+    def put_operation(self, operation: AnyOperation, origin: str) -> None:
+        """Take what a source of this computer has received; from any thread."""
+        self._operations.put((operation, origin))
+
+    def _pass_on(self, operation: AnyOperation, origin: str) -> None:
+        """Hand a trigger to the conductor; a stop is carried out here, too."""
+        match operation:
+            case s.Trigger():
+                self._host.trigger(
+                    operation.kind,
+                    operation.address,
+                    operation.value,
+                    operation.channel,
+                    operation.source or origin,
+                )
+            case s.Cue():
+                self._host.cue(operation.label)
+            case m.Go():
+                self._do(self._host.go)
+            case m.Stop() | m.Estop():
+                self._host.stop()
+            case _:
+                self._log(f"{origin}: {operation.op} is for the conductor's computer")
 
     def load(self, show: str) -> None:
         """Plan a show for all figures, in a process of its own."""
@@ -191,14 +259,20 @@ class Commands:
         if self._plan is not None and self._plan[1].done():
             (show, made), self._plan = self._plan, None
             try:
-                self._do(partial(self._host.load, *made.result()))
+                planned = made.result()
+                self._do(partial(self._host.load, planned.cast, planned.contents))
             except (LssMotionError, BrokenProcessPool) as error:
                 self._log(f"show {show!r} cannot be planned: {error}")
         while not self._lines.empty():
             self._obey(self._lines.get().split())
+        while not self._operations.empty():
+            self._pass_on(*self._operations.get())
         while self._host.cues:
-            figure, cue = self._host.cues.popleft()
-            self._fire(cue, figure)
+            figure, ask = self._host.cues.popleft()
+            if ask.what == "go":
+                self._do(self._host.go)
+            else:
+                self._fire(ask.cue, figure)
         conductor = self._host.conductor
         is_loaded = conductor is not None and conductor.wanted == "ready"
         if self._starts and is_loaded and not self._host.problems():

@@ -58,10 +58,12 @@ class NetworkSettings:
     """The interface on which computers find each other; empty: by the address only."""
     is_trusted: bool = False
     """Whether this network may be used without keys."""
+    is_visitor: bool = False
+    """A second process on the conductor's computer, which asks the one that conducts."""
 
     @property
     def is_conductor(self) -> bool:
-        return self.figure == self.conductor
+        return self.figure == self.conductor and not self.is_visitor
 
     @property
     def host(self) -> str:
@@ -174,7 +176,7 @@ def access_control(settings: NetworkSettings) -> dict[str, Any]:
     for name in sorted(settings.figures):
         own = [f"{top}/figure/{name}/**", f"{top}/clock/{name}"]
         if name == settings.conductor:
-            keys = [*common, f"{top}/figure/**", f"{top}/clock/**"]
+            keys = [*common, f"{top}/figure/**", f"{top}/clock/**", f"{top}/examined/**"]
         else:
             keys = [*own, *common]
         # What a figure sends is its own; what it subscribes and queries is the conductor's.

@@ -131,6 +131,32 @@ class TimecodeState(Message):
     """How far the timecode is ahead of the show, while that is in step."""
 
 
+class HostInfo(Message):
+    """One computer of a stage with figures, as the conductor knows it."""
+
+    name: str
+    is_conductor: bool
+    is_good: bool = False
+    state: str
+    """As `network.messages.FigureState`, or `lost`, or `not connected`."""
+    text: str
+    """Its last word, or why it does not take part."""
+    version: str = ""
+    offset_ms: float | None = None
+    """By how much the clock of the conductor is ahead of its own."""
+    bound_ms: float | None = None
+    """How well that is known."""
+    round_trip_ms: float | None = None
+    show_s: float | None = None
+    off_ms: float | None = None
+    """How far its show is from where all should be."""
+    hottest_c: float | None = None
+    late_ms: float | None = None
+    """The worst lateness of a move."""
+    heard_s: float | None = None
+    """Since its last message."""
+
+
 class StageState(Message):
     """The whole state of a stage; only the newest one counts."""
 
@@ -151,6 +177,8 @@ class StageState(Message):
     timecode: TimecodeState | None = None
     """None: the stage has none."""
     cues: tuple[CueInfo, ...]
+    hosts: tuple[HostInfo, ...] = ()
+    """The computers of a stage with figures."""
 
 
 class StageNote(Message):

@@ -79,7 +79,7 @@ def plan_stage(
         found = _alone(stage, planned)
         errors += [(f.line, "", InputError(f.text, path=stage.path, line=f.line)) for f in found]
     if errors:
-        raise _as_one(stage, errors)
+        raise as_one(stage, errors)
     return Planned(stage=stage, shows=planned)
 
 
@@ -132,7 +132,7 @@ def _robot_path(stage: Stage, figure: str | None) -> Path:
     raise InputError(f"the stage has figures; name one of them: {known}", path=stage.path)
 
 
-def _as_one(
+def as_one(
     stage: Stage, errors: list[tuple[int | None, str, LssMotionError]]
 ) -> InputError | PlanningError:
     """Return one error; those of files keep their files and lines."""

@@ -12,7 +12,7 @@ import pickle
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from lss_motion.remote.operator_end import Operator
     from lss_motion.runtime.stage_report import StageReport
     from lss_motion.stage.check import Planned
+    from lss_motion.stage.director import Director
     from lss_motion.stage.model import Stage
     from lss_motion.stage.running import Record
+    from lss_motion.stage.timecode import StageTimecode
 
 RENEW_MAX_BYTES: Final = 1_000_000
 """Chosen: read in some 20 ms, by which no move is late that matters; an hour of six joints."""
@@ -139,12 +141,25 @@ def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
             return Signal(kind=Kind.GO)
 
 
+class Directed(Protocol):
+    """What a client steers: a stage with one robot, or with figures."""
+
+    stage: Stage
+    director: Director
+    timecode: StageTimecode | None
+    now_ns: int
+
+    def state_of(self) -> Record: ...
+
+
 class StageSteering(Steering):
     """A client that steers a stage, also between two runs of the player."""
 
     def __init__(self, operator: Operator, rule: LossRule | None = None) -> None:
         super().__init__(operator, rule)
-        self._run: StageRun | None = None
+        self._run: Directed | None = None
+        self._own: StageRun | None = None
+        """The same, if it is a stage with one robot."""
         self._hashes: dict[str, str] = {}
         self._stated_ns = 0
         self._has_news = True
@@ -163,7 +178,7 @@ class StageSteering(Steering):
         """Send the first event of a stage."""
         from lss_motion.connection import is_simulated
 
-        self._run = run
+        self._run = self._own = run
         self._hashes = {name: plan_hash(one).hex() for name, one in run.programs.items()}
         robot = run.robot
         names = {name for one in run.programs.values() for name in one.start_deg}
@@ -193,16 +208,16 @@ class StageSteering(Steering):
 
     def _renew(self, job: bytes, player: Player | None) -> None:
         """Go on with newer files, or note why the stage must begin anew for them."""
-        assert self._run is not None
+        assert self._own is not None
         if len(job) > RENEW_MAX_BYTES:
             reason = f"they have {len(job) / 1e6:.1f} MB, too much to be read beside moves"
-            self._run.record("must_restart", f"new files; the stage begins anew: {reason}")
+            self._own.record("must_restart", f"new files; the stage begins anew: {reason}")
             return
         newer: StageJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
-        kind, text = self._run.renew(newer.planned, player)
-        self._run.record(kind, text)
+        kind, text = self._own.renew(newer.planned, player)
+        self._own.record(kind, text)
         if kind == "renewed":
-            self._hashes = {name: plan_hash(one).hex() for name, one in self._run.programs.items()}
+            self._hashes = {name: plan_hash(one).hex() for name, one in self._own.programs.items()}
 
     def _watch(self, player: Player, now_ns: int) -> None:
         """End the stage when the server is gone: nothing could ever end it, and it has no end."""

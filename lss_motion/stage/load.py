@@ -337,6 +337,9 @@ class _Loader:
 
     def _follows(self, entry: CueEntry, place: Location, trigger: Trigger) -> bool:
         """Return whether the show of a cue follows the timecode; note keys that do not belong."""
+        if entry.start == "add" and self.content.figures:
+            text = "figures play one show together: add does not go with them; queue, or interrupt"
+            self._note((*place, "start"), text)
         if "follow" in entry.model_fields_set and trigger.kind is not Kind.TIMECODE:
             self._note((*place, "follow"), "follow belongs to a trigger of timecode")
         follows = entry.follow and trigger.kind is Kind.TIMECODE
@@ -506,6 +509,12 @@ class _Loader:
     def _duty(self, entry: DutyEntry) -> Duty:
         place = "duty"
         self._show(entry.rest, (place, "rest"))
+        for key in ("limp", "temperature_c", "current_a"):
+            if self.content.figures and key in entry.model_fields_set:
+                text = (
+                    f"{key} belongs to one robot: with figures, each has on_fault in its robot file"
+                )
+                self._note((place, key), text)
         if entry.limp and entry.rest is None:
             self._note((place, "limp"), "limp needs rest, a show that goes to a pose that stands")
         return Duty(

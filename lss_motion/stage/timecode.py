@@ -227,6 +227,12 @@ class StageTimecode:
             self.following.set_paused(is_paused=is_paused)
             self.following.turn(player, now_ns)
 
+    def leader(self, begins_s: float) -> Leg | None:
+        """Return the timecode as show time of a show that begins at a position; None: lost."""
+        if self._leg is None or self._is_lost:
+            return None
+        return self._leg._replace(show_s=self._leg.show_s - begins_s)
+
     def _led(self) -> Leg:
         """Return the leg of the show that follows, at instants of the player."""
         assert self._leg is not None

@@ -67,6 +67,7 @@ class Document:
             backup=self._request.backup,
             port=self._request.port,
             views=self._request.views,
+            figure=self._request.figure,
         )
         self.good, self._views, self._stamps = None, {}, {}
         self._newest = Reply(number=0, title=path.stem)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib.util
+import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,7 +25,7 @@ from lss_motion.triggers.sacn_port import SacnPort
 from lss_motion.triggers.sources import AllowList, Complaints, Crossings, Gate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from lss_motion.stage.model import Stage
     from lss_motion.triggers.sources import Sink
@@ -200,3 +201,27 @@ class Inlets:
 def _listening(stage: Stage) -> object:
     """Return what decides which sources are open."""
     return stage.name, replace(stage.listen, line=None)
+
+
+@contextlib.contextmanager
+def inlets_thread(stage: Stage, sink: Sink, note: Callable[[str], None]) -> Iterator[None]:
+    """Open the sources of a figure whose computer has no server, inside the block.
+
+    `sink` is called in a thread of their own.
+    """
+    loop = asyncio.new_event_loop()
+    ending = asyncio.Event()
+
+    async def serve() -> None:
+        inlets = Inlets(sink, note, dict)
+        inlets.use(stage)
+        await ending.wait()
+        await inlets.close()
+
+    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        loop.call_soon_threadsafe(ending.set)
+        thread.join(5.0)

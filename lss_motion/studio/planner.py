@@ -48,6 +48,8 @@ class Request:
     port: str | None = None
     views: Path | None = None
     """Folder for the views of the shows of a stage, by plan."""
+    figure: str | None = None
+    """Of a stage with several: that of this computer, which conducts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,8 +215,9 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
 
     found |= {"kind": "stage", "title": request.path.stem}
     stage = load_stage(request.path)
-    if stage.robot is None:
-        raise InputError("the stage has figures; name the one of this computer with --figure")
+    if stage.figures:
+        return _of_figures(stage, request, found)
+    assert stage.robot is not None
     robot = with_port(stage.robot, request.port)
     files = {*found["files"], *(show.path for show in stage.shows.values())}
     files |= set(_files_of_robot(robot))
@@ -237,19 +240,73 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a stage with figures, for the computer that conducts."""
+    from lss_motion.network.plans import planned_stage
+    from lss_motion.network.stage_job import conductor_job
+    from lss_motion.remote.process import packed
+    from lss_motion.remote.telemetry import plan_hash
+    from lss_motion.shows import files_of
+
+    if request.figure is None or request.figure != stage.conductor:
+        raise InputError(f"the stage has figures; {stage.conductor} conducts it: --figure")
+    robots = {
+        name: _robot(
+            one.robot_path,
+            request if name == request.figure else Request(number=0, path=request.path),
+        )
+        for name, one in stage.figures.items()
+    }
+    files = {
+        *found["files"],
+        *(path for show in stage.shows.values() for path in show.paths.values()),
+    }
+    files |= {path for robot in robots.values() for path in _files_of_robot(robot)}
+    own = robots[request.figure]
+    found |= {**_of_robot(own), "files": tuple(sorted(files)), "title": stage.name}
+    made = planned_stage(stage, robots)
+    plans = {}
+    for name, one in made.items():
+        for show in one.shows.values():
+            files |= set() if show.sequence is None else set(files_of(show.sequence))
+        program = one.programs.get(request.figure)
+        if program is not None:
+            plans[name] = plan_hash(program).hex()
+            _write_view(
+                one.shows.get(request.figure, one.shows.get("")), plans[name], request.views
+            )
+    names = json.dumps(plans, sort_keys=True).encode() + read_data(request.path)
+    functions = [cue.run for one in made.values() for p in one.programs.values() for cue in p.cues]
+    return {
+        "files": tuple(sorted(files)),
+        "plan": hashlib.sha256(names).hexdigest()[:16],
+        "plans": plans,
+        "stage": replace(stage, robot=None),
+        "job": packed(conductor_job(stage, made, own, plans)),
+        "functions": tuple(dict.fromkeys(filter(None, functions))),
+    }
+
+
 def _plans(planned: Planned, folder: Path | None) -> dict[str, str]:
     """Return the plan of each show; write the views that are not in the folder yet."""
     from lss_motion.remote.telemetry import plan_hash
-    from lss_motion.studio.view import view_of
 
     plans = {}
     for name, show in planned.shows.items():
         plan = plans[name] = plan_hash(show.program).hex()
-        path = None if folder is None else folder / f"{plan}.json"
-        if path is not None and not path.exists() and show.sequence is not None:
-            path.with_suffix(".new").write_bytes(_json(view_of(show, plan)))
-            path.with_suffix(".new").replace(path)
+        _write_view(show, plan, folder)
     return plans
+
+
+def _write_view(show: Show | None, plan: str, folder: Path | None) -> None:
+    """Write the view of a show, unless it is in the folder."""
+    from lss_motion.studio.view import view_of
+
+    path = None if folder is None else folder / f"{plan}.json"
+    has_view = show is not None and show.sequence is not None
+    if path is not None and show is not None and has_view and not path.exists():
+        path.with_suffix(".new").write_bytes(_json(view_of(show, plan)))
+        path.with_suffix(".new").replace(path)
 
 
 def _notes(show: Show) -> Iterator[str]:

@@ -56,6 +56,8 @@ class StudioOptions:
     """The secret of this server; None: a new one."""
     views: Path | None = None
     """Folder for the views of the shows of a stage."""
+    figure: str | None = None
+    """Of a stage with several: that of this computer, which conducts."""
     is_early: bool = False
     """Listen on an address that this computer does not have yet."""
     desk: DeskOptions = field(default_factory=DeskOptions)
@@ -94,6 +96,7 @@ class Studio:
                 backup=options.backup,
                 port=options.port,
                 views=options.views,
+                figure=options.figure,
             ),
             self.planner.ask,
             self._document_changed,

@@ -140,10 +140,11 @@ def plans_of(rig: RigStage) -> dict[str, Program]:
     from lss_motion.robot.load import load_robot
 
     robot = load_robot(rig.folder / "robot.yaml")
-    cast, plans = planned_cast(
+    planned = planned_cast(
         "show", rig.folder / "show.yaml", dict.fromkeys(rig.names, robot), rig.names[0]
     )
-    return {name: read_plan(plans[cast.parts[name].plan], robot) for name in rig.names}
+    parts, contents = planned.cast.parts, planned.contents
+    return {name: read_plan(contents[parts[name].plan], robot) for name in rig.names}
 
 
 def paired(program: Program, moves: Sequence[tuple[int, str]]) -> dict[tuple[int, int], int]:

@@ -69,10 +69,16 @@ export type StageCue = {
 export type StageTimecode = {
   state: string; source: string; at: string; rate: number | null; show: string | null; off_ms: number | null;
 };
+export type StageHost = {
+  name: string; is_conductor: boolean; is_good: boolean; state: string; text: string; version: string;
+  offset_ms: number | null; bound_ms: number | null; round_trip_ms: number | null; show_s: number | null;
+  off_ms: number | null; hottest_c: number | null; late_ms: number | null; heard_s: number | null;
+};
 export type Stage = {
   state: string; show: string | null; cause: string; added: string[]; queue: string[];
   left: string[]; next_go: string | null; reasons: string[]; cues: StageCue[];
   timecode: StageTimecode | null;
+  hosts: StageHost[];
 };
 export type StageNote = { number: number; kind: string; text: string };
 export type Page = "show" | "timeline" | "robot";

@@ -38,7 +38,8 @@ def duet(tmp_path):
 
 
 def test_what_one_figure_needs_more_time_for_all_wait_for(robots, duet):
-    cast, contents = plans.planned_cast("duet", duet, robots, "left")
+    made = plans.planned_cast("duet", duet, robots, "left")
+    cast, contents = made.cast, made.contents
     read = {
         name: plans.read_plan(contents[part.plan], robots[name])
         for name, part in cast.parts.items()
@@ -56,7 +57,8 @@ def test_what_one_figure_needs_more_time_for_all_wait_for(robots, duet):
 
 def test_a_sequence_for_each_figure_needs_no_names(robots):
     wave = SEQUENCES / "wave.yaml"
-    cast, contents = plans.planned_cast("wave", {"left": wave, "right": wave}, robots, "left")
+    made = plans.planned_cast("wave", {"left": wave, "right": wave}, robots, "left")
+    cast, contents = made.cast, made.contents
     assert set(cast.parts) == {"left", "right"}
     assert contents[hash_of(packed(cast))] == packed(cast)
     alone = lss.compile(lss.plan(lss.load_sequence(wave), robots["left"]), robots["left"])
@@ -64,7 +66,8 @@ def test_a_sequence_for_each_figure_needs_no_names(robots):
 
 
 def test_a_plan_that_breaks_a_limit_here_is_refused(robots, duet):
-    cast, contents = plans.planned_cast("duet", duet, robots, "left")
+    made = plans.planned_cast("duet", duet, robots, "left")
+    cast, contents = made.cast, made.contents
     robot = robots["left"]
     narrow = dataclasses.replace(robot.joints["base"], position_max_deg=45.0)
     other = dataclasses.replace(robot, joints={**robot.joints, "base": narrow})
@@ -128,6 +131,6 @@ def test_a_wait_for_a_sensor_is_refused(robots, tmp_path, monkeypatch):
         waits=("eye",),
     )
     show = type("Show", (), {"program": program})
-    monkeypatch.setattr("lss_motion.shows.prepare", lambda *_: show)
+    monkeypatch.setattr("lss_motion.shows.prepare", lambda *_, **_more: show)
     with pytest.raises(InputError, match="cannot wait for a sensor"):
         plans.planned_cast("wave", tmp_path / "wave.yaml", robots, "left")

@@ -7,7 +7,7 @@ import { FigurePanel } from "../figure/panel.js";
 import { onFrame } from "../frames.js";
 import { drawAngles, Joints } from "../parts/joints.js";
 import { timeText } from "../timeline/window.js";
-import { StageCues, StageNotes, StageState } from "./stage.js";
+import { StageCues, StageHosts, StageNotes, StageState } from "./stage.js";
 
 /** @typedef {import("../state.js").State} State */
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
@@ -45,10 +45,10 @@ export function ShowPage({ state, actions, store }) {
     </section>
     <section class="card cues" aria-label="Cues"><h2>Cues</h2>${isStage(state)
       ? html`<${StageCues} state=${state} actions=${actions} />` : html`<${Cues} state=${state} actions=${actions} />`}</section>
-    <section class="card health" aria-label="Joints"><h2>Joints</h2>
+    <section class="card health" aria-label=${hasHosts(state) ? "Computers and joints" : "Joints"}><${StageHosts} state=${state} /><h2>Joints</h2>
       <div class="scroll"><${Joints} state=${state} /></div>
       <${Lines} state=${state} />
-      ${isMany(state) ? null : html`<div class="health-figure"><${FigurePanel} store=${store} /></div>`}
+      ${isMany(state) || hasHosts(state) ? null : html`<div class="health-figure"><${FigurePanel} store=${store} /></div>`}
     </section>
     <section class="card troubles" aria-label="Warnings and faults"><h2>Warnings and faults</h2><${Troubles} state=${state} /><${StageNotes} state=${state} /></section>
   </main>`;
@@ -57,6 +57,11 @@ export function ShowPage({ state, actions, store }) {
 /** Whether the file is a stage, whose cues are its own. @param {State} state */
 function isStage(state) {
   return state.document?.kind === "stage" || state.stage !== null;
+}
+
+/** Whether several computers play together. @param {State} state */
+function hasHosts(state) {
+  return (state.stage?.hosts.length ?? 0) > 0;
 }
 
 /** Whether the joints leave the figure no room. @param {State} state */

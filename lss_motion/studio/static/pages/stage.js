@@ -56,6 +56,48 @@ export function StageCues({ state, actions }) {
       </li>`)}</ol></div>`;
 }
 
+/** Every computer of a stage with figures. STOP at the foot is for all of them.
+ * @param {{ state: import("../state.js").State }} props */
+export function StageHosts({ state }) {
+  const hosts = state.stage?.hosts ?? [];
+  if (hosts.length === 0) return null;
+  return html`<h2>Computers <span class="muted">STOP is for all</span></h2>
+    <div class="scroll host-scroll"><table class="hosts"><thead><tr>
+      <th scope="col">figure</th><th scope="col">state</th><th scope="col">clock</th><th scope="col">show</th><th scope="col">health</th><th scope="col">last word</th>
+    </tr></thead><tbody>${hosts.map((host) => html`
+      <tr key=${host.name} data-host=${host.name} class=${host.is_good ? "" : "host-bad"}>
+        <th scope="row">${host.name}${host.is_conductor ? html` <span class="muted">conducts</span>` : null}</th>
+        <td class="host-state">${host.is_good ? "" : "▲ "}${host.state}</td>
+        <td class="number">${clockText(host)}</td>
+        <td class="number">${host.show_s === null ? "–" : `${host.show_s.toFixed(1)} s`}${host.off_ms === null ? "" : html`<br />${signed(host.off_ms, 1)} ms`}</td>
+        <td class="number">${healthText(host)}</td>
+        <td class="host-text">${host.text || (host.heard_s === null ? "" : host.heard_s > 2 ? `silent for ${host.heard_s.toFixed(0)} s` : "–")}</td>
+      </tr>`)}</tbody></table></div>`;
+}
+
+/** By how much the clock of a computer differs, and how well that is known. @param {import("../state.js").StageHost} host */
+function clockText({ is_conductor, offset_ms, bound_ms }) {
+  if (is_conductor) return "its own";
+  if (bound_ms === null) return "not known";
+  return html`± ${bound_ms.toFixed(2)} ms<br /><span class="muted">${offsetText(offset_ms ?? 0)}</span>`;
+}
+
+/** An offset of clocks that count from their own start: from microseconds to months. @param {number} offset_ms */
+function offsetText(offset_ms) {
+  return Math.abs(offset_ms) < 1000 ? `${signed(offset_ms, 2)} ms` : `${signed(offset_ms / 1000, 3)} s`;
+}
+
+/** @param {number} value @param {number} digits */
+function signed(value, digits) {
+  return `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+}
+
+/** @param {import("../state.js").StageHost} host */
+function healthText({ hottest_c, late_ms }) {
+  const parts = [hottest_c === null ? "" : `${hottest_c.toFixed(0)} °C`, late_ms === null ? "" : `late ${late_ms.toFixed(1)} ms`];
+  return parts.filter((part) => part !== "").join(", ") || "–";
+}
+
 /** What has happened, the newest first. @param {{ state: import("../state.js").State }} props */
 export function StageNotes({ state }) {
   if (state.notes.length === 0) return null;
