@@ -1,7 +1,8 @@
 """A stage of many computers in virtual time: links, clocks, conductor and figures.
 
 Links and clocks are drawn by seed from models; `LOOPBACK` and `WIFI` are fitted to measured
-exchanges (`tools/run tools/bench.py network`). Conductor, figures and clock estimators are those of
+exchanges (`exchanges.json`, made by `tools/rig/exchanges.py --write`; compared in
+`tools/run tools/bench.py network`). Conductor, figures and clock estimators are those of
 the package. A player is reduced to what it tells its figure; where moves are judged, real players
 follow the legs that are recorded here (`benches.network`).
 """
@@ -56,9 +57,10 @@ class LinkModel:
         return round(delay)
 
 
-LOOPBACK: Final = LinkModel(150 * NS_PER_US, 140 * NS_PER_US, 0.01, NS_PER_MS)
-"""One way on this computer, zenoh over TCP; fitted to `bench network`."""
-WIFI: Final = LinkModel(500 * NS_PER_US, 3 * NS_PER_MS, 0.02, 80 * NS_PER_MS, 0.005)
+LOOPBACK: Final = LinkModel(290 * NS_PER_US, 140 * NS_PER_US, 0.01, NS_PER_MS)
+"""One way between two namespaces, zenoh over TCP; fitted to `wired` of `exchanges.json`."""
+WIFI: Final = LinkModel(1500 * NS_PER_US, 3500 * NS_PER_US, 0.02, 80 * NS_PER_MS, 0.005)
+"""The same through the proxy of the rig; fitted to `wifi`. Spikes and losses are the proxy's."""
 
 
 @dataclass

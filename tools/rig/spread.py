@@ -1,6 +1,7 @@
 """How far apart the same move reaches the servos of several hosts, in real time.
 
     tools/run python tools/rig/spread.py [--hosts 8] [--joints 2] [--show-s 20] [--real-time]
+    tools/run python tools/rig/spread.py --joints 18 --show-s 600 --until-start
 
 Each host is a network namespace with its own process, player and simulated robot, all on this
 computer, over plain lines. A move is known by its joint and its number in the plan, which every
@@ -55,6 +56,9 @@ def main() -> int:
     parser.add_argument("--joints", type=int, default=2)
     parser.add_argument("--show-s", type=float, default=20.0)
     parser.add_argument("--real-time", action="store_true")
+    parser.add_argument(
+        "--until-start", action="store_true", help="measure only from the load to the first leg"
+    )
     given = parser.parse_args()
     if why := why_not():
         print(why, file=sys.stderr)
@@ -68,10 +72,37 @@ def main() -> int:
             joints=given.joints,
             show_s=given.show_s,
             is_real_time=given.real_time,
+            is_separate=given.until_start,
         ) as rig,
     ):
-        measure(rig, given.hosts, given.show_s)
+        if given.until_start:
+            measure_start(rig)
+        else:
+            measure(rig, given.hosts, given.show_s)
     return 0
+
+
+def measure_start(rig: RigStage) -> None:
+    """Print how long it takes until all are ready, and until all stand at the start."""
+    before = cpu_s()
+    rig.start_all()
+    rig.wait("f0", "loads 'show'", 900)
+    loaded = time.monotonic()
+    for name in rig.names:
+        rig.wait(name, "-> ready", 300)
+    print(f"from the load to all ready: {time.monotonic() - loaded:.1f} s")
+    plans = list((rig.folder / "f1.store").iterdir())
+    print(f"fetched by one figure: {sum(one.stat().st_size for one in plans) / 1e6:.2f} MB")
+    rig.go()
+    print("GO:", re.search(r"all stand at the start after ([\d.]+ s)", rig.log("f0"))[0])  # type: ignore[index]
+    after = cpu_s()
+    for kind, used_s in sorted(after.items()):
+        print(f"  {used_s - before.get(kind, 0.0):6.1f} s of a core: {kind}")
+    load = Path("/proc/loadavg").read_text().split()[0]
+    print(f"load of the computer: {load} on {os.cpu_count()} cores")
+    rig.say("f0", "s")
+    verdicts = rig.end()
+    print("objections:", sum(len(one["objections"]) for one in verdicts.values()))
 
 
 def measure(rig: RigStage, hosts: int, show_s: float) -> None:

@@ -86,7 +86,9 @@ class RigStage:
         ppm: float = 0.0,
         keys: Path | None = None,
         is_real_time: bool = False,
+        is_separate: bool = False,
     ) -> None:
+        """`is_separate`: a sequence for each figure, planned alone, in place of one for all."""
         self.folder, self.seed, self.line = folder, seed, line
         self.names = [f"f{index}" for index in range(hosts)]
         self._tag = f"l{os.getpid() % 100000}"
@@ -97,6 +99,7 @@ class RigStage:
         self._rounds = 0
         self._proxy: subprocess.Popen[bytes] | None = None
         self._others, self._freewheel_s = others, freewheel_s
+        self._is_separate = is_separate
         self._write(joints, show_s, loops)
 
     # ---- files
@@ -105,16 +108,22 @@ class RigStage:
         folder = self.folder
         rows = "\n".join(f"  j{n}: {{id: {n + 1}, range_deg: [-90, 90]}}" for n in range(joints))
         (folder / "robot.yaml").write_text(ROBOT.format(name="figure", joints=rows))
-        keys = []
         steps = round(show_s)
-        for index in range(steps + 1):
-            # No two swings are the same, so that a move is known by its target.
-            swing = 0 if index in (0, steps) else (30 + 11 * index % 17) * (-1) ** index
-            deg = ", ".join(f"{name}.j{n}: {swing}" for name in self.names for n in range(joints))
-            keys.append(f"  - {{at_s: {index}, deg: {{{deg}}}}}")
-        (folder / "show.yaml").write_text(
-            f"sequence: show\nrobot: robot.yaml\nloop: {loops}\nkeyframes:\n" + "\n".join(keys)
-        )
+        # No two swings are the same, so that a move is known by its target.
+        swings = [
+            0 if index in (0, steps) else (30 + 11 * index % 17) * (-1) ** index
+            for index in range(steps + 1)
+        ]
+        for name in self.names if self._is_separate else ("",):
+            own = [f"j{n}" for n in range(joints)]
+            every = own if name else [f"{one}.{joint}" for one in self.names for joint in own]
+            keys = "\n".join(
+                f"  - {{at_s: {index}, deg: {{{', '.join(f'{joint}: {deg}' for joint in every)}}}}}"
+                for index, deg in enumerate(swings)
+            )
+            (folder / f"show{name}.yaml").write_text(
+                f"sequence: show{name}\nrobot: robot.yaml\nloop: {loops}\nkeyframes:\n{keys}\n"
+            )
         for name in self.names:
             self.write_stage(name, self._keys)
             (folder / f"{name}.jump").write_bytes(bytes(8))
@@ -130,9 +139,11 @@ class RigStage:
         network = f"freewheel_s: {self._freewheel_s}"
         if keys is not None:
             network += f", keys: {json.dumps(str(keys))}"
+        each = ", ".join(f"{one}: show{one}.yaml" for one in self.names)
+        shows = f"{{{each}}}" if self._is_separate else "show.yaml"
         (self.folder / f"{name}.yaml").write_text(
             f"stage: rig\nfigures:\n{figures}\nconductor: {self.names[0]}\n"
-            f"shows: {{show: show.yaml}}\nnetwork: {{{network}}}\n"
+            f"shows: {{show: {shows}}}\nnetwork: {{{network}}}\n"
             f"on_fault: {{others: {self._others}}}\n"
         )
 
@@ -155,14 +166,14 @@ class RigStage:
         self.remove()
 
     def _make_network(self) -> None:
-        switch = self._space("sw")
+        switch = self.space("sw")
         _ip("netns", "add", switch)
         _ip("-n", switch, "link", "set", "lo", "up")
         _ip("-n", switch, "link", "add", "br0", "type", "bridge")
         _ip("-n", switch, "addr", "add", "10.77.0.254/24", "dev", "br0")
         _ip("-n", switch, "link", "set", "br0", "up")
         for index, name in enumerate(self.names):
-            space, inner, outer = self._space(name), f"{self._tag}i{index}", f"{self._tag}o{index}"
+            space, inner, outer = self.space(name), f"{self._tag}i{index}", f"{self._tag}o{index}"
             _ip("netns", "add", space)
             _ip("link", "add", inner, "type", "veth", "peer", "name", outer)
             _ip("link", "set", inner, "netns", space, "name", "eth0")
@@ -173,15 +184,24 @@ class RigStage:
             _ip("-n", space, "link", "set", "eth0", "up")
         lines = [f"10.77.0.254:{7000 + k}=10.77.0.1:7447" for k in range(1, len(self.names))]
         self._proxy = subprocess.Popen(
-            [*_in(switch), sys.executable, "-m", "rig.proxy", str(self.seed), *self.line, *lines],
+            [
+                *in_space(switch),
+                sys.executable,
+                "-m",
+                "rig.proxy",
+                str(self.seed),
+                *self.line,
+                *lines,
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=_env(),
+            env=rig_environment(),
         )
         assert self._proxy.stdout is not None
         assert self._proxy.stdout.readline() == b"ready\n"
 
-    def _space(self, name: str) -> str:
+    def space(self, name: str) -> str:
+        """Return the namespace of a host."""
         return f"{self._tag}-{name}"
 
     # ---- hosts
@@ -244,7 +264,7 @@ class RigStage:
         more = ["--real-time"] if self._is_real_time else []
         self._processes[name] = self._popen(
             [
-                *_in(self._space(name)),
+                *in_space(self.space(name)),
                 *[sys.executable, "-m", "rig.serve", stage, name, *stores, *more],
             ],
             f"{name}.txt",
@@ -267,7 +287,7 @@ class RigStage:
                 stdin=subprocess.PIPE,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                env={**_env(), **(environment or {})},
+                env={**rig_environment(), **(environment or {})},
                 start_new_session=True,
             )
 
@@ -300,11 +320,11 @@ class RigStage:
 
     def cut(self, name: str) -> None:
         """Cut the cable of a host."""
-        _ip("-n", self._space(name), "link", "set", "eth0", "down")
+        _ip("-n", self.space(name), "link", "set", "eth0", "down")
 
     def heal(self, name: str) -> None:
         """Mend it."""
-        _ip("-n", self._space(name), "link", "set", "eth0", "up")
+        _ip("-n", self.space(name), "link", "set", "eth0", "up")
 
     @contextlib.contextmanager
     def storm(self, name: str, seed: int) -> Iterator[None]:
@@ -312,7 +332,7 @@ class RigStage:
         address = f"10.77.0.254:{7000 + self.names.index(name)}"
         words = [sys.executable, "-m", "rig.storm", "rig", name, address, str(seed)]
         process = subprocess.Popen(
-            [*_in(self._space(name)), *words], stdin=subprocess.PIPE, env=_env()
+            [*in_space(self.space(name)), *words], stdin=subprocess.PIPE, env=rig_environment()
         )
         try:
             yield
@@ -382,7 +402,7 @@ class RigStage:
                         pipe.close()
         for name in (*self.names, "sw"):
             subprocess.run(
-                ["ip", "netns", "del", self._space(name)], capture_output=True, check=False
+                ["ip", "netns", "del", self.space(name)], capture_output=True, check=False
             )
 
 
@@ -399,11 +419,13 @@ def _ip(*words: str) -> None:
     subprocess.run(["ip", *words], check=True, capture_output=True)
 
 
-def _in(space: str) -> list[str]:
+def in_space(space: str) -> list[str]:
+    """Return what begins a command in a namespace."""
     return ["ip", "netns", "exec", space]
 
 
-def _env() -> dict[str, str]:
+def rig_environment() -> dict[str, str]:
+    """Return the environment of the programs of a rig."""
     paths = [str(TOOLS / "rig" / "shim"), str(TOOLS), str(TOOLS.parent)]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
