@@ -132,9 +132,8 @@ class Director:
 
     @property
     def is_free(self) -> bool:
-        """Whether nothing plays for a cue, or waits to be played."""
-        is_idle = self.main is None or self.main.cue is None
-        return is_idle and not (self.added or self.queue or self.left)
+        """Whether nothing plays for a cue, or will: what waits for timecode may be left."""
+        return not (self._playing() or self.queue or self.left)
 
     # ---- what is to be done
 
@@ -196,7 +195,8 @@ class Director:
 
         None: there is none, or another cue plays. 0 s: it is to wait, since there is no timecode.
         """
-        if not (self.is_free and self.is_connected):
+        is_idle = self.main is None or self.main.cue is None
+        if not (is_idle and self.is_free and self.is_connected):
             return None
         found = self.timecode.coming(now_ns)
         if found is None and not self.timecode.has_position:

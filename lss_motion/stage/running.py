@@ -155,6 +155,7 @@ class StageRun:
         stage = planned.stage
         self.stage, self.options = stage, options
         self.programs = {name: show.program for name, show in planned.shows.items()}
+        self._functions = planned.functions
         self.robot = robot_of(planned)
         random = Random(options.seed)  # noqa: S311  (which show is next)
         self.director = Director(
@@ -213,6 +214,7 @@ class StageRun:
                 ("sync", opened_by(self.stage), opened_by(stage)),
                 ("log", self.stage.log, stage.log),
                 ("a sensor of the cues", self.stage.sensors, stage.sensors),
+                ("a function of the shows", self._functions, planned.functions),
             )
             if before != after
         ]

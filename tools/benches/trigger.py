@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from benches.behind_pty import Heard
 
 SERVOS: Final = 6
-TIMES: Final = 14
-TIMES_BUSY: Final = 6
+TIMES: Final = 10
+TIMES_BUSY: Final = 4
 NOTE: Final = (0x90, 60, 100)
 WAIT_S: Final = 60.0
 SHOW: Final = """\

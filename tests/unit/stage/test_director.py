@@ -639,6 +639,23 @@ def test_without_timecode_the_cue_that_is_ready_or_armed_waits_and_others_may_pl
     assert desk.director.armed is None
 
 
+def test_a_show_that_waits_is_begun_anew_with_newer_files():
+    desk = Desk(replace(timed("one", 100.0, "a"), is_ready=True), key("x", play="b"))
+    ready(desk)
+    assert desk.director.is_free
+    newer = replace(desk.stage, cues=(replace(timed("one", 90.0, "b"), is_ready=True),))
+    desk.director.arm("x")
+    desk.director.renew(newer, SHOWS, set())
+    desk.obey()
+    assert desk.shown == ["idle"]
+    assert desk.director.armed is None, "that cue is gone"
+    ready(desk)
+    assert desk.shown == ["b"]
+    assert desk.plays[-1].follows_s == 90.0
+    running(desk, 86, 87)
+    assert not desk.director.is_free, "it comes"
+
+
 def test_timecode_of_another_show_ends_the_wait_and_starts_that_one():
     cues = replace(timed("one", 100.0, "a"), is_ready=True), timed("two", 90.0, "b")
     desk = Desk(*(replace(cue, start="only_if_idle") for cue in cues))
