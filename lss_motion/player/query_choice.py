@@ -206,13 +206,15 @@ class QueryChoice(ABC):
         planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))
         state.note_health_query(max(planned_ns, now_ns))
 
-    def _late_health(self, state: JointState, now_ns: int) -> str | None:
+    def _late_health(
+        self, state: JointState, now_ns: int, late_ns: int = HEALTH_LATE_NS
+    ) -> str | None:
         """Return what a servo is asked about its health too late; None: it is not late.
 
         Probes do not count. The words take turns apart from those of the health round.
         """
         name = state.joint.name
-        if now_ns - self._healths_ns.setdefault(name, now_ns) <= HEALTH_LATE_NS:
+        if now_ns - self._healths_ns.setdefault(name, now_ns) <= late_ns:
             return None
         words = health_words(state.joint.model.family)
         self._late_counts[name] = count = self._late_counts.get(name, -1) + 1
@@ -453,8 +455,11 @@ class ByNeed(QueryChoice):
             words.append(PLACE_KEYWORD)
         health_ns = self._health_period_ns(state)
         is_due = state.health_ns is None or now_ns - state.health_ns >= RIDE_RATIO * health_ns
-        is_due = is_due and first not in probes
-        if is_due and not (is_late and self._health_wait[bus] < HEALTH_LEAST - 1):
+        if first in probes:  # At rest one is due at each visit, and would be all that is asked.
+            is_resting = self._resting_ns(state) is not None
+            word = self._late_health(state, now_ns, 0) if is_resting else None
+            words += [] if word is None else [word]
+        elif is_due and not (is_late and self._health_wait[bus] < HEALTH_LEAST - 1):
             words.append(self._health_word(state))
         return words[::-1] or [PLACE_KEYWORD]
 
