@@ -39,7 +39,7 @@ from lss_motion.network.messages import (
     packed,
     parse,
 )
-from lss_motion.network.plans import plan_problem, robot_hash
+from lss_motion.network.plans import robot_hash
 from lss_motion.player.following import RUNNING_RATE
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
@@ -81,9 +81,12 @@ def _is_near(leader: Leg, now_ns: int) -> bool:
 
 
 class PlayerEnd(Protocol):
-    """The player of a figure, as its host knows it. No call waits."""
+    """The player of a figure, as its host knows it. No call waits, but for `prepare`."""
 
-    def arm(self, plan: bytes, start_s: float) -> None:
+    def prepare(self, plan: bytes) -> str:
+        """Verify a plan for this robot, and keep it; return why it cannot be played. May wait."""
+
+    def arm(self, plan: str, start_s: float) -> None:
         """Start it: check the servos, move to `start_s` of the plan, and wait there for a leg."""
 
     def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
@@ -118,7 +121,7 @@ class Host:
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.settings, self.player, self.log = settings, player, log
-        self._robot, self._store, self._now_ns = robot, store, now_ns
+        self._store, self._now_ns = store, now_ns
         self.instance = secrets.token_hex(8)
         self.figure = Figure(
             name=settings.figure,
@@ -431,11 +434,7 @@ class Host:
             case Verify():
                 threading.Thread(target=self._verify, args=(action.plan,), daemon=True).start()
             case Arm():
-                plan = self._store.get(action.plan)
-                if plan is None:
-                    self.log("the plan is no longer stored")
-                else:
-                    self.player.arm(plan, action.start_s)
+                self.player.arm(action.plan, action.start_s)
             case Follow():
                 self.player.follow(action.instant_ns, action.show_s, action.rate)
             case StopPlayer():
@@ -444,7 +443,7 @@ class Host:
 
     def _verify(self, plan: str) -> None:
         content = self._store.get(plan)
-        problem = "it is not stored" if content is None else plan_problem(content, self._robot)
+        problem = "it is not stored" if content is None else self.player.prepare(content)
         self._verified.append((plan, problem))
 
     def _ask_clock(self, now_ns: int) -> None:

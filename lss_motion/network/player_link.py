@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import EXIT_UNREACHABLE, LssMotionError
 from lss_motion.network.figure import PlayerView
+from lss_motion.network.messages import hash_of
 from lss_motion.network.plans import read_plan
 from lss_motion.player.events import Phase
 from lss_motion.player.following import SLOW_RATE, FollowRule
@@ -71,34 +72,46 @@ class PlayerLink:
         self._hottest_c: float | None = None
         self._late_us: int | None = None
         self._number = 0
+        self._jobs: dict[str, bytes] = {}
+        """The packed job of the plan that was prepared last, by its hash."""
         self._is_stopped = False
         self._leaving: list[subprocess.Popen[bytes]] = []
         """Processes that end by themselves."""
         self.reports: list[dict[str, Any]] = []
         """Reports of the runs that have ended."""
 
-    def arm(self, plan: bytes, start_s: float) -> None:
-        """Start the player; it moves to `start_s` of the plan, and waits there."""
-        if self._link is not None:  # Of a run that has ended: its figure waits for that.
-            self._gone()
+    def prepare(self, plan: bytes) -> str:
+        """Read and verify a plan, and keep it for `arm`; return why it cannot be played.
+
+        Called in a thread: of a long plan it takes a second, and beats must not wait for it.
+        """
         try:
             program = read_plan(plan, self._robot)
         except LssMotionError as error:
-            self._view = PlayerView("failed", None, str(error), cause="error")
-            return
+            return str(error)
         job = Job(
             program=program,
             robot=self._robot,
             rule=LossRule(on_lost="stop"),
             follow=self._rule,
             # Sounds of the conductor's robot follow the legs, as the robot does.
-            options={
-                "start_s": start_s or None,
-                "sound": SoundChoice(leads=False),
-                **self._options,
-            },
+            options={"sound": SoundChoice(leads=False), **self._options},
         )
-        self._process, end = start_process(packed(job))
+        self._jobs = {hash_of(plan): packed(job)}
+        return ""
+
+    def arm(self, plan: str, start_s: float) -> None:
+        """Start the player with a plan that was prepared; it moves to `start_s`, and waits there.
+
+        `plan` is its hash.
+        """
+        if self._link is not None:  # Of a run that has ended: its figure waits for that.
+            self._gone()
+        job = self._jobs.get(plan)
+        if job is None:
+            self._view = PlayerView("failed", None, "the plan is not prepared", cause="error")
+            return
+        self._process, end = start_process(job, options={"start_s": start_s or None})
         self._link = Link(end)
         self._link.set_blocking(is_blocking=False)
         self._phase, self._show_s, self._first_ns = "", None, None

@@ -1,6 +1,8 @@
 """One show for two figures: planned together, split, stored, and verified where it is played."""
 
 import dataclasses
+import pickle
+import socket
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ import lss_motion as lss
 from lss_motion.errors import InputError
 from lss_motion.network import plans
 from lss_motion.network.messages import hash_of, packed
+from lss_motion.network.player_link import PlayerLink
 
 SEQUENCES = Path(__file__).parents[3] / "sequences"
 DUET = """\
@@ -134,3 +137,30 @@ def test_a_wait_for_a_sensor_is_refused(robots, tmp_path, monkeypatch):
     monkeypatch.setattr("lss_motion.shows.prepare", lambda *_, **_more: show)
     with pytest.raises(InputError, match="cannot wait for a sensor"):
         plans.planned_cast("wave", tmp_path / "wave.yaml", robots, "left")
+
+
+def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeypatch):
+    wave = SEQUENCES / "wave.yaml"
+    made = plans.planned_cast("wave", {"left": wave}, robots, "left")
+    name = made.cast.parts["left"].plan
+    link = PlayerLink(robots["left"])
+    link.arm(name, 0.0)
+    assert (link.view(0).phase, link.view(0).text) == ("failed", "the plan is not prepared")
+    assert link.prepare(b"\xff").startswith("the plan is no text")
+    assert link.prepare(made.contents[name]) == ""
+    started = []
+
+    own, other = socket.socketpair()
+
+    def start(job, **changes):
+        started.append((job, changes))
+        return None, own
+
+    monkeypatch.setattr("lss_motion.network.player_link.start_process", start)
+    monkeypatch.setattr("lss_motion.network.player_link.read_plan", None)  # Not in the host's turn.
+    link.arm(name, 4.0)
+    ((job, changes),) = started
+    assert len(pickle.loads(job).program.moves) > 20
+    assert changes == {"options": {"start_s": 4.0}}
+    own.close()
+    other.close()
