@@ -225,15 +225,15 @@ class JointState:
         """Continue the plan with `later`; what was before `keep_from_s` is dropped."""
         self.plan = self.plan.followed_by(later, keep_from_s)
 
-    def leave_program(self, now_ns: int) -> None:
-        """Note that spot moves take the place of the program's moves: the rate is not 1.
+    def leave_program(self, guide_ns: int) -> None:
+        """Drop the deferred target of a timed joint, and guide a streamed one from `guide_ns` on.
 
-        The deferred target of a timed joint is dropped; a streamed joint is guided from now on.
+        The rate is not 1: spot moves take the place of the program's.
         """
         if self.joint.drive == "timed":
             self.deferred = None
         elif self.joint.drive == "streamed" and self.guide_ns is None and self.takes_moves:
-            self.guide_ns = now_ns
+            self.guide_ns = guide_ns
 
     def suspend(self) -> None:
         """Send no move to the servo from now on."""

@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.setpoints import closing_deg
-from lss_motion.program.drives import longest_move
+from lss_motion.program.line import longest_move
 from lss_motion.program.quantize import LATEST_ARRIVAL_S
 from lss_motion.program.streamed import FilterProfile
 from lss_motion.protocol.framing import encode_move
@@ -30,8 +30,10 @@ GUIDE_PERIOD_NS: Final = 20 * NS_PER_MS
 """A guided joint gets one target for every step of its filter (FACTS.md M6): with one target over
 two steps, the filter is quick in the first and slow in the second."""
 RAMP_LINE_RATIO: Final = 0.5
-"""Spot moves take no more of the line than this. With streamed joints on it, they get half of
-that."""
+"""Spot moves take no more of the line than this, or of what guided joints leave of it."""
+GUIDE_LINE_RATIO: Final = 0.85
+"""Guiding targets take no more of the line than this. The program sends as many where all joints
+that are guided move, and one for two steps breaks the limit of a fast joint (`streamed`)."""
 RAMP_LEAST_S: Final = 0.3
 RAMP_ACCEL_RATIO: Final = 0.4
 """A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
@@ -64,41 +66,42 @@ def ramp_s(
     return over_s
 
 
-class RampPeriods(NamedTuple):
-    """How often joints get a target: those that are guided, on each bus, and all others.
+class RampPeriods:
+    """How often joints get a target, by what their lines can carry: guided joints, and others."""
 
-    `burst_ns` is how long the moves of all others at one tick take on each bus.
-    """
+    def __init__(self, joint_states: Iterable[JointState], lines: Mapping[str, SerialLine]) -> None:
+        self._streamed: dict[str, list[tuple[JointState, int]]] = {bus: [] for bus in lines}
+        self._others_ns = dict.fromkeys(lines, 0)
+        """How long one move for each joint that is not streamed takes on each bus."""
+        for state in joint_states:
+            bus = state.joint.bus
+            slot_ns = lines[bus].time_ns(len(longest_move(state.joint)))
+            if state.joint.drive == "streamed":
+                self._streamed[bus].append((state, slot_ns))
+            else:
+                self._others_ns[bus] += slot_ns
 
-    guide_ns: Mapping[str, int]
-    tick_ns: int
-    burst_ns: Mapping[str, int]
+    def guide_ns(self, bus: str) -> int:
+        """Return how often each guided joint of a bus gets a target: after whole filter steps."""
+        steps = self._guided_ns(bus) / (GUIDE_LINE_RATIO * GUIDE_PERIOD_NS)
+        return max(1, math.ceil(steps)) * GUIDE_PERIOD_NS
 
+    def tick_ns(self) -> int:
+        """Return how often all other joints get a move."""
+        return max(RAMP_TICK_NS, *(round(self._tick_ns(bus)) for bus in self._others_ns))
 
-def ramp_periods(
-    joint_states: Collection[JointState], lines: Mapping[str, SerialLine]
-) -> RampPeriods:
-    """Return how often the lines can carry a target for every joint."""
-    streamed = [state for state in joint_states if state.joint.drive == "streamed"]
-    others = [state for state in joint_states if state.joint.drive != "streamed"]
-    share = 0.5 if streamed and others else 1.0
-    share *= RAMP_LINE_RATIO
-    guide_ns = {
-        bus: max(GUIDE_PERIOD_NS, round(_burst_ns(streamed, line) / share))
-        for bus, line in lines.items()
-    }
-    burst_ns = {bus: _burst_ns(others, line) for bus, line in lines.items()}
-    tick_ns = max(RAMP_TICK_NS, round(max(burst_ns.values()) / share))
-    return RampPeriods(guide_ns=guide_ns, tick_ns=tick_ns, burst_ns=burst_ns)
+    def _tick_ns(self, bus: str) -> float:
+        left_ratio = 1.0 - self._guided_ns(bus) / self.guide_ns(bus)
+        return self._others_ns[bus] / (RAMP_LINE_RATIO * left_ratio)
 
+    def _guided_ns(self, bus: str) -> int:
+        """Return how long one target for each guided joint takes on a bus."""
+        return sum(slot_ns for state, slot_ns in self._streamed[bus] if state.guide_ns is not None)
 
-def _burst_ns(joint_states: Collection[JointState], line: SerialLine) -> int:
-    """Return how long one move for each joint takes on the line."""
-    return sum(
-        line.time_ns(len(longest_move(state.joint)))
-        for state in joint_states
-        if state.joint.bus == line.bus.name
-    )
+    def next_guide_ns(self, bus: str) -> float:
+        """Return when the next guiding target is due on a bus; infinite: no joint is guided."""
+        dues_ns = (state.guide_ns for state, _ in self._streamed[bus])
+        return min((due_ns for due_ns in dues_ns if due_ns is not None), default=math.inf)
 
 
 def spot_moves(
@@ -202,10 +205,35 @@ def guide(
         target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
     state.send(line, target_deg - state.disturbance.offset_deg, 0.0, now_ns)
     if not is_at_rest:
-        next_s = profile.receive_s(step + steps)
-        if next_s - arrival_s > steps * profile.period_s + ROUNDING_S:
-            next_s -= profile.period_s  # Else some filters would use this target a step longer.
-        state.guide_at(ns_from_s(next_s) - line.time_ns(size))
+        next_wire = round((target_deg + to_deg - from_deg) * limits.wire_per_deg)
+        size = len(encode_move(state.joint.servo_id, next_wire, None))
+        last_ns = state.last_arrival_ns or ns_from_s(arrival_s)
+        next_ns = last_ns + steps * ns_from_s(profile.period_s)
+        state.guide_at(next_ns - line.time_ns(size))
+
+
+def first_guide_ns(state: JointState, line: SerialLine, now_ns: int) -> int:
+    """Return when the first guiding target leaves: whole filter steps after the last target."""
+    profile = state.profile
+    assert isinstance(profile, FilterProfile), "only streamed joints are led"
+    if state.last_arrival_ns is None:
+        return now_ns
+    here_wire = round(state.place(now_ns)[0] * state.limits.wire_per_deg)
+    time_ns = line.time_ns(len(encode_move(state.joint.servo_id, here_wire, None)))
+    since_ns = now_ns + time_ns - state.last_arrival_ns - ns_from_s(ROUNDING_S)
+    steps = math.ceil(since_ns / ns_from_s(profile.period_s))
+    next_ns = state.last_arrival_ns + steps * ns_from_s(profile.period_s)
+    return max(next_ns - time_ns, now_ns)
+
+
+def is_off_course(
+    state: JointState, planned_deg: Callable[[JointState, int], float], from_ns: int, to_ns: int
+) -> bool:
+    """Return whether a streamed joint moves, or its plan does until `to_ns`, or it is elsewhere."""
+    position_deg, speed_deg_s = state.place(from_ns)
+    instants_s = (s_from_ns(at_ns) for at_ns in (from_ns, (from_ns + to_ns) // 2, to_ns))
+    off_deg = max(abs(_wanted_deg(state, planned_deg, at_s) - position_deg) for at_s in instants_s)
+    return speed_deg_s != 0.0 or off_deg > 1.0 / state.limits.wire_per_deg
 
 
 def _wanted_deg(

@@ -21,7 +21,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import dropwhile
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.approach import with_room
 from lss_motion.player.cues import Waiting
@@ -35,8 +35,18 @@ from lss_motion.player.joint_state import (
 )
 from lss_motion.player.polling import PollScheduler
 from lss_motion.player.query_choice import BY_NEED
-from lss_motion.player.rate_ramps import RAMP_TICK_NS, guide, ramp_periods, ramp_s, spot_moves
+from lss_motion.player.rate_ramps import (
+    GUIDE_PERIOD_NS,
+    RAMP_TICK_NS,
+    RampPeriods,
+    first_guide_ns,
+    guide,
+    is_off_course,
+    ramp_s,
+    spot_moves,
+)
 from lss_motion.player.show_clock import ShowClock
+from lss_motion.program.line import longest_move
 from lss_motion.units import (
     NS_PER_MS,
     US_PER_S,
@@ -75,6 +85,18 @@ PRE_ROLL_S: Final = 1.0
 their lead, lights by the order in which they are sent."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """If a move leaves later than this, T is computed anew; a smaller delay would not change T."""
+SPOT_WAIT_NS: Final = 2 * GUIDE_PERIOD_NS
+"""A spot move waits no longer for a gap between guiding targets. Chosen: two of their rounds."""
+
+
+class Spot(NamedTuple):
+    """A joint that is to get a spot move at a tick of the rate."""
+
+    state: JointState
+    since_ns: int
+    period_ns: int
+    """The time that its spot move has; 0: it gets the rest of its move under way."""
+    late_ns: int
 
 
 def _early_us(by_address: Mapping[tuple[str, int], JointState], move: Move) -> int:
@@ -128,12 +150,13 @@ class Streamer:
             ranges_deg={name: robot.joints[name].servo_range_deg for name in standing_deg},
         )
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.joint_states.values()}
-        self._periods = ramp_periods(self.joint_states.values(), lines)
+        self._periods = RampPeriods(self.joint_states.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
         self._early_us = partial(_early_us, self._by_address)
         self._moves = DueMoves(program.unrolled(begin_s), self._early_us)
         self._tick_ns: int | None = None
+        self._spots: list[Spot] = []
         self._back_at_s: float | None = None
         self.has_moved = False
         """Whether moves left in this call of `advance`."""
@@ -241,8 +264,10 @@ class Streamer:
 
         Targets that were sent late, or cut by a speed limit, take longer.
         """
-        return not self._resends_ns() and all(
-            t.is_at_rest(now_ns) for t in self.joint_states.values()
+        return (
+            not self._resends_ns()
+            and not self._spots
+            and all(t.is_at_rest(now_ns) for t in self.joint_states.values())
         )
 
     def keep_open(self) -> None:
@@ -292,7 +317,7 @@ class Streamer:
     def jump_to(self, show_s: float, now_ns: int) -> None:
         """Stand at `show_s`. For a show that stands; an approach and `resume` must follow."""
         self.clock.jump_to(show_s, now_ns)
-        self._tick_ns = None
+        self._tick_ns, self._spots = None, []
         for state in self.joint_states.values():
             state.leave_move()
         self._moves = DueMoves(self._program.unrolled(show_s), self._early_us)
@@ -347,6 +372,7 @@ class Streamer:
             self._send_all_due(now_ns)
         self._wait(now_ns)
         self._resend_due(now_ns)
+        self._send_spots(now_ns)
         if self.scheduler is not None and (
             not self._has_any_moved or self.scheduler.is_starved(now_ns)
         ):
@@ -464,7 +490,7 @@ class Streamer:
         """
         if not self.waiting.is_standing:
             self.clock.halt(since_ns)
-        self._tick_ns = None
+        self._tick_ns, self._spots = None, []
         for state in self.joint_states.values():
             state.halt(self._lines[state.joint.bus], now_ns)
         for other in self._beside:
@@ -490,6 +516,7 @@ class Streamer:
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         state = self._by_address[move.bus, move.servo_id]
         state.begin_move(move._replace(due_us=due_us))
+        self._spots = [spot for spot in self._spots if spot.state is not state]
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
         left_s = self._left_s(state, now_ns)
@@ -519,7 +546,7 @@ class Streamer:
 
     def _guide_period_ns(self, state: JointState, now_ns: int) -> int:
         """Return the time to the next guiding target: a part of that to the program's next move."""
-        period_ns = self._periods.guide_ns[state.joint.bus]
+        period_ns = self._periods.guide_ns(state.joint.bus)
         if not self._is_even:
             return period_ns
         servo = (state.joint.bus, state.joint.servo_id)
@@ -581,7 +608,7 @@ class Streamer:
         self._skip_due(now_ns)
         late_ns = now_ns - self._tick_ns
         if self.clock.is_ramping(now_ns) or 0.0 < self.clock.target_rate < 1.0:
-            period_ns = self._periods.tick_ns
+            period_ns = self._periods.tick_ns()
             if self.clock.is_ramping(now_ns):
                 # A last tick shortly before the end would put twice as much on the line.
                 left_ns = self.clock.ramp_end_ns - now_ns
@@ -609,37 +636,63 @@ class Streamer:
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:
         """Send every joint the rest of the move under way, now that the rate is steady."""
-        for state in self.joint_states.values():
-            if state.active is None or state.guide_ns is not None:
-                continue
-            left_s = self._left_s(state, now_ns)
-            position_deg, speed_deg_s = state.place(now_ns)
-            off_deg = abs(state.target_deg - position_deg)
-            if left_s > 0.0 or off_deg > state.joint.unit_deg or speed_deg_s != 0.0:
-                self.statistics.sent(late_ns)
-                left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
-                state.send_active(self._lines[state.joint.bus], left_s, now_ns)
+        self._spots = [
+            Spot(state, now_ns, 0, late_ns)
+            for state in self.joint_states.values()
+            if state.active is not None and state.guide_ns is None
+        ]
+
+    def _send_rest(self, spot: Spot, now_ns: int) -> None:
+        """Send a joint the rest of its move under way, unless it has arrived."""
+        state = spot.state
+        left_s = self._left_s(state, now_ns)
+        position_deg, speed_deg_s = state.place(now_ns)
+        off_deg = abs(state.target_deg - position_deg)
+        if left_s > 0.0 or off_deg > state.joint.unit_deg or speed_deg_s != 0.0:
+            self.statistics.sent(spot.late_ns)
+            left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
+            state.send_active(self._lines[state.joint.bus], left_s, now_ns)
 
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
-        """Send every joint that is off its course there in one period; guide those streamed."""
+        """Lead every joint that is off its course there in one period; guide those streamed."""
+        self._spots = []
+        ahead_ns = now_ns + 2 * period_ns
         for state in self.joint_states.values():
-            state.leave_program(now_ns)
-        # Those that are guided first, fast ones before slow ones: else their filters would starve.
-        for state in sorted(self.joint_states.values(), key=lambda s: -abs(s.place(now_ns)[1])):
-            burst_ns = self._periods.burst_ns[state.joint.bus]
-            if state.guide_ns is not None and state.guide_ns <= now_ns + burst_ns:
-                self.statistics.sent(late_ns)
-                self._guide(state, now_ns)
-        for state, aim_deg, left_s in spot_moves(
-            self.joint_states.values(),
-            self._lines,
-            now_ns=now_ns,
-            period_ns=period_ns,
-            planned_deg=self.planned_deg,
-            ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
-        ):
-            self.statistics.sent(late_ns)
-            state.send(self._lines[state.joint.bus], aim_deg, left_s, now_ns)
+            if state.joint.drive != "streamed":
+                state.leave_program(now_ns)
+                self._spots.append(Spot(state, now_ns, period_ns, late_ns))
+            elif state.guide_ns is None and is_off_course(
+                state, self.planned_deg, now_ns, ahead_ns
+            ):
+                line = self._lines[state.joint.bus]
+                state.leave_program(first_guide_ns(state, line, now_ns))
+
+    def _send_spots(self, now_ns: int) -> None:
+        """Send the spot moves of a tick, between the targets of guided joints on their buses.
+
+        A filter brakes if its target is late. A move that finds no gap for long goes all the same.
+        """
+        spots, self._spots = self._spots, []
+        for spot in spots:
+            state, line = spot.state, self._lines[spot.state.joint.bus]
+            arrival_ns = line.arrival_ns(len(longest_move(state.joint)), now_ns)
+            next_ns = self._periods.next_guide_ns(state.joint.bus)
+            if arrival_ns > next_ns and now_ns - spot.since_ns < SPOT_WAIT_NS:
+                self._spots.append(spot)
+                continue
+            if not spot.period_ns:
+                self._send_rest(spot, now_ns)
+                continue
+            for _, aim_deg, left_s in spot_moves(
+                [state],
+                self._lines,
+                now_ns=now_ns,
+                period_ns=spot.period_ns,
+                planned_deg=self.planned_deg,
+                ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
+            ):
+                self.statistics.sent(spot.late_ns)
+                state.send(line, aim_deg, left_s, now_ns)
 
     # ---- judging
 

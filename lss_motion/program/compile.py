@@ -89,10 +89,15 @@ def compile_program(
             program = _program(trajectory, choice, references, schedule, repeat)
             unreadable = [use for use in program.line_use.values() if _lacks_readings(use, robot)]
             lacks_readings = bool(unreadable)
-            if not unreadable:
+            if unreadable:
+                problem = _readings_error(unreadable[0], program, robot)
+                continue
+            try:
                 verify_program(program, choice.robot)
-                return program
-            problem = _readings_error(unreadable[0], program, robot)
+            except LineLoadError as error:
+                problem = error
+                continue
+            return program
     assert problem is not None
     raise problem
 

@@ -19,14 +19,19 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from lss_motion.program.fit import TimedFit
+from lss_motion.program.line import with_phases
 from lss_motion.program.moves import fitted_profiles
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
-from lss_motion.program.reference_grid import DURATION_MAX_MS, GRID_S, servo_limits
+from lss_motion.program.reference_grid import GRID_S, servo_limits
 from lss_motion.program.stepped import PULSE_S, StepFitter
 from lss_motion.program.streamed import StreamFitter
 from lss_motion.program.verify import filter_profile
-from lss_motion.protocol.framing import encode_move
-from lss_motion.robot.servo_models import FAMILIES, FILTER_FIRMWARE_MIN, can_be_streamed
+from lss_motion.robot.servo_models import (
+    FAMILIES,
+    FILTER_FIRMWARE_MIN,
+    can_be_streamed,
+    needs_filter,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -106,18 +111,6 @@ def late_max_s(joint: Joint) -> float:
             return 0.5 * LATEST_ARRIVAL_S
 
 
-def longest_move(joint: Joint) -> bytes:
-    """Return the longest command that the joint can be sent."""
-    duration_ms = DURATION_MAX_MS if joint.drive == "timed" else None
-    return max(
-        (
-            encode_move(joint.servo_id, round(e * joint.model.wire_per_deg), duration_ms)
-            for e in joint.servo_range_deg
-        ),
-        key=len,
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
     """A robot without `auto`, and the reason for the drive of each joint that had it."""
@@ -134,7 +127,7 @@ def choices(robot: Robot, references: ReferencesOf, tolerance_deg: float) -> lis
     """
     opened = {n: j for n, j in robot.joints.items() if j.drive == "auto"}
     if not opened:
-        return [Choice(robot=robot)]
+        return [Choice(robot=with_phases(robot))]
     timed = references(_with(robot, dict.fromkeys(opened, "timed")))
     streamed = references(_with(robot, dict.fromkeys(opened, "streamed")))
     drives: dict[str, Drive] = {}
@@ -142,7 +135,7 @@ def choices(robot: Robot, references: ReferencesOf, tolerance_deg: float) -> lis
     gains: dict[str, float] = {}
     for name, joint in opened.items():
         family, reason = FAMILIES[joint.model.family], _only(joint, robot)
-        drives[name] = "streamed" if _needs_filter(joint) else family.drives[0]
+        drives[name] = "streamed" if needs_filter(joint) else family.drives[0]
         if not reason and name in timed:
             by_ramps = predicted_deg(replace(joint, drive="timed"), timed[name], tolerance_deg)
             by_filter = predicted_deg(
@@ -177,19 +170,12 @@ def _with_fewer(
 def _with(robot: Robot, drives: Mapping[str, Drive]) -> Robot:
     """Return `robot` with other `drives`."""
     changed = {name: replace(robot.joints[name], drive=drive) for name, drive in drives.items()}
-    return replace(robot, joints={**robot.joints, **changed})
-
-
-def _needs_filter(joint: Joint) -> bool:
-    """Return whether only the filter of a servo can follow the acceleration of the joint."""
-    model = joint.model
-    can_stream = "streamed" in FAMILIES[model.family].drives
-    return can_stream and joint.accel_max_deg_s2 > model.accel_max_deg_s2
+    return with_phases(replace(robot, joints={**robot.joints, **changed}))
 
 
 def _only(joint: Joint, robot: Robot) -> str:
     """Return why a joint has only one drive; empty if it has a choice."""
-    if _needs_filter(joint):
+    if needs_filter(joint):
         most = joint.model.accel_max_deg_s2
         return f"{joint.accel_max_deg_s2:g} deg/s² is more than its ramps can express, {most:g}"
     if "streamed" not in FAMILIES[joint.model.family].drives:

@@ -21,25 +21,29 @@ from __future__ import annotations
 import math
 from array import array
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.protocol.framing import Command, Reply, encode
-from lss_motion.units import NS_PER_US, US_PER_S, line_time_ns
+from lss_motion.program.reference_grid import DURATION_MAX_MS
+from lss_motion.protocol.framing import Command, Reply, encode, encode_move
+from lss_motion.robot.servo_models import needs_filter
+from lss_motion.units import NS_PER_US, US_PER_S, line_time_ns, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.program.response import IntArray
-    from lss_motion.robot.model import Joint
+    from lss_motion.robot.model import Bus, Joint, Robot
 
 WORST_WINDOW_US = 100_000
 """Utilisation is also reported for the busiest 100 ms (FACTS.md A21)."""
 LONG_AGO_US: Final = -(2**62)
 """Begin and end of a slot before all others, so that there always is a slot before."""
 
+QUERY_BYTES: Final = 10
+"""Room that is kept for a query between the targets of streamed joints."""
 WINDOW_US: Final = US_PER_S
 """Readings are counted over a second: a joint without a reply for so long is silent."""
 TURNAROUND_US: Final = 1_800
@@ -233,6 +237,52 @@ def _exchange_us(joint: Joint, baud_bps: int) -> tuple[int, int]:
     replies = [encode(Reply(joint.servo_id, "QD", wire)) for wire in wires]
     query = encode(Command(joint.servo_id, "QD"))
     return sent_us(len(query), baud_bps), sent_us(max(map(len, replies)), baud_bps)
+
+
+def longest_move(joint: Joint) -> bytes:
+    """Return the longest command that the joint can be sent."""
+    duration_ms = DURATION_MAX_MS if joint.drive == "timed" else None
+    return max(
+        (
+            encode_move(joint.servo_id, round(e * joint.model.wire_per_deg), duration_ms)
+            for e in joint.servo_range_deg
+        ),
+        key=len,
+    )
+
+
+def with_phases(robot: Robot) -> Robot:
+    """Return `robot` with the assumed steps of its filters apart, bus by bus.
+
+    When the filter of a servo steps is unknown. Commands aim at the instants assumed, and a filter
+    needs them at even distances. So no two joints of a bus need the line at the same time,
+    and on a slow one they follow each other and leave room for a query or a move of another joint.
+    """
+    joints = dict(robot.joints)
+    for bus in robot.buses.values():
+        on_bus = [joint for joint in joints.values() if joint.bus == bus.name]
+        own = [joint for joint in on_bus if _has_filter(joint)]
+        if not own:
+            continue
+        period_us = min(us_from_s(joint.response.filter_s) for joint in own)
+        slot_us = max(_slot_us(joint, bus) for joint in own)
+        others_us = [_slot_us(joint, bus) for joint in on_bus if joint not in own]
+        gap_us = max(sent_us(QUERY_BYTES, bus.baud_bps), *others_us, 0)
+        left_us = period_us - slot_us - gap_us
+        apart_us = max(slot_us, left_us / max(len(own) - 1, 1))
+        apart_us = min(apart_us, period_us / len(own))
+        for rank, joint in enumerate(own):
+            phase_ratio = rank * apart_us / period_us
+            joints[joint.name] = replace(joint, filter_phase_ratio=phase_ratio)
+    return replace(robot, joints=joints)
+
+
+def _slot_us(joint: Joint, bus: Bus) -> int:
+    return sent_us(len(longest_move(joint)), bus.baud_bps)
+
+
+def _has_filter(joint: Joint) -> bool:
+    return joint.drive == "streamed" or (joint.drive == "auto" and needs_filter(joint))
 
 
 def sent_us(size_bytes: int, baud_bps: int) -> int:

@@ -122,7 +122,7 @@ def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
         position_min_deg=least_deg,
         position_max_deg=most_deg,
         speed_max_deg_s=joint.speed_max_deg_s,
-        ramp_deg_s2=ramp_deg_s2(joint),
+        ramp_deg_s2=joint.accel_max_deg_s2 if joint.drive == "streamed" else ramp_deg_s2(joint),
         wire_per_deg=joint.model.wire_per_deg,
         tolerance_deg=min(tolerance_deg, TOLERANCE_MAX_DEG.get(joint.drive, math.inf)),
         response=joint.response,

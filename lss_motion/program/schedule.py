@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 
 from lss_motion.errors import LineLoadError
-from lss_motion.program.drives import late_max_s, longest_move, make_fitter
+from lss_motion.program.drives import late_max_s, make_fitter
 from lss_motion.program.fit import RIVALRY_S, TURN_S, TimedFit
-from lss_motion.program.line import LineSchedule, sent_us
+from lss_motion.program.line import LineSchedule, longest_move, sent_us
 from lss_motion.program.model import Move
 from lss_motion.program.moves import FittedJoint, fitted_profiles
 from lss_motion.program.reference_grid import servo_limits
@@ -64,8 +64,9 @@ class TooLateError(Exception):
 class Schedule:
     """All joints at one tolerance. `is_tight`: some command is later than its drive allows.
 
-    Joints that are not timed come first: their commands have fixed instants, while the fit of a
-    timed joint compensates for every move that the line grants early.
+    Streamed joints come first: a filter brakes if its targets come unevenly. Then stepped ones:
+    their commands have fixed instants, while the fit of a timed joint compensates for every move
+    that the line grants early.
     """
 
     def __init__(
@@ -103,16 +104,16 @@ class Schedule:
             )
             for name in references
         }
-        is_timed = {name: robot.joints[name].drive == "timed" for name in references}
-        self._fit_each(
-            {
-                name: make_fitter(robot.joints[name], reference, tolerance_deg, seams_s)
-                for name, reference in references.items()
-                if not is_timed[name]
-            }
-        )
-        if any(is_timed.values()):
-            timed = [robot.joints[name] for name in references if is_timed[name]]
+        for drive in ("streamed", "stepped"):
+            self._fit_each(
+                {
+                    name: make_fitter(robot.joints[name], reference, tolerance_deg, seams_s)
+                    for name, reference in references.items()
+                    if robot.joints[name].drive == drive
+                }
+            )
+        timed = [robot.joints[name] for name in references if robot.joints[name].drive == "timed"]
+        if timed:
             self._fit_timed(timed, references, tolerance_deg, seams_s)
 
     def _fit_each(self, fitters: Mapping[str, JointFitter]) -> None:

@@ -9,19 +9,21 @@ own and no result of planner or fit. Programs edited by hand pass through here t
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from lss_motion.errors import PlanningError
+from lss_motion.errors import LineLoadError, PlanningError
+from lss_motion.program.line import with_phases
 from lss_motion.program.model import TIMED
 from lss_motion.program.move_table import columns_of
 from lss_motion.program.moves import profiles_from_rest, replayed
 from lss_motion.program.reference_grid import LimitArrays, servo_limits
 from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.stepped import PULSE_S, StepProfile
-from lss_motion.program.streamed import FilterProfile
+from lss_motion.program.streamed import FilterProfile, filter_accel
 from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.units import US_PER_S
 
@@ -34,9 +36,6 @@ if TYPE_CHECKING:
     from lss_motion.program.response import FloatArray
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.profile import Piece
-
-SPREAD_RATIO: Final = 0.6180339887498949
-"""The golden ratio: multiples of it spread any number of servos evenly over one filter period."""
 
 EXCESS_MAX_RATIO: Final = 1.001
 """A limit may be exceeded by 0.1 % (FACTS.md A19)."""
@@ -71,7 +70,7 @@ def driven(robot: Robot, program: Program) -> Robot:
         driving = program.drives.get(name, TIMED)
         count = driving.filter_count or joints[name].filter_count
         joints[name] = replace(joints[name], drive=driving.drive, filter_count=count)
-    return replace(robot, joints=joints)
+    return with_phases(replace(robot, joints=joints))
 
 
 def make_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) -> ServoProfile:
@@ -95,14 +94,13 @@ def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) 
     """Return the model of a streamed joint; see `make_profile`.
 
     The instants at which a servo's filter steps are unknown. The assumed ones are those at which
-    the joint's own commands aim; they differ from joint to joint, so that the line is used evenly.
+    the joint's own commands aim (`with_phases`).
     """
-    period_s = joint.response.filter_s
     return FilterProfile(
         position_deg,
         count=joint.filter_count,
         response=joint.response,
-        step_s=origin_s + period_s * (joint.servo_id * SPREAD_RATIO % 1.0),
+        step_s=origin_s + joint.response.filter_s * joint.filter_phase_ratio,
     )
 
 
@@ -161,12 +159,57 @@ def verify_program(program: Program, robot: Robot) -> None:
     % above the limit. A profile that jumps is a fault too. The error names joint and time.
 
     A streamed joint has no ramps: its steps keep the speed limit except for the rounding of the
-    wire, and the plan that it follows bounds its acceleration. A stepped joint jumps: each jump is
-    checked against the speed limit and the time since the jump before.
+    wire, and its acceleration depends on when its targets come. If the line cannot carry them
+    evenly enough, `LineLoadError` is raised. A stepped joint jumps: each jump is checked against
+    the speed limit and the time since the jump before.
     """
     if program.repeat is not None and program.repeat.times is not None:
         program = program.repeated(2)  # Every kind of seam, in a time that does not depend on it.
     verify_profiles(profiles(program, robot), driven(robot, program))
+    _check_filters(program, driven(robot, program))
+
+
+def _check_filters(program: Program, robot: Robot) -> None:
+    """Check the acceleration of streamed joints, whenever their filters step."""
+    names = [name for name in program.start_deg if robot.joints[name].drive == "streamed"]
+    if not names:
+        return
+    columns = columns_of(program.moves, robot)
+    for name in names:
+        joint = robot.joints[name]
+        own = columns.take(np.flatnonzero(columns.joint == list(robot.joints).index(name)))
+        received_s = np.maximum.accumulate(own.received_us / US_PER_S)
+        begin_deg = round(joint.servo_deg(program.start_deg[name]) / joint.unit_deg)
+        targets_deg = own.target_wire / joint.model.wire_per_deg
+        accel_deg_s2, at_s = filter_accel(
+            received_s, targets_deg, begin_deg * joint.unit_deg, joint
+        )
+        room_deg = servo_limits(joint, program.tolerance_deg).tolerance_deg
+        allowed_deg_s2 = joint.accel_max_deg_s2 + room_deg / joint.response.filter_s**2
+        if accel_deg_s2 > allowed_deg_s2:
+            raise _uneven_error(program, robot, joint, accel_deg_s2, allowed_deg_s2, at_s)
+
+
+def _uneven_error(
+    program: Program,
+    robot: Robot,
+    joint: Joint,
+    accel_deg_s2: float,
+    allowed_deg_s2: float,
+    at_s: float,
+) -> LineLoadError:
+    bus, use = robot.buses[joint.bus], program.line_use.get(joint.bus)
+    count = math.ceil(joint.filter_count * accel_deg_s2 / allowed_deg_s2)
+    return LineLoadError(
+        f"joint {joint.name!r} would brake or catch up with {accel_deg_s2:.0f} deg/s² at "
+        f"{at_s:.3f} s, allowed {allowed_deg_s2:.0f}: bus {bus.name!r} at {bus.baud_bps} bps "
+        f"cannot carry its targets evenly, or they cannot lie beyond its range, and the filter of "
+        f"a streamed joint brakes by itself when its target is late or near. What would help: "
+        f"a faster baud rate, fewer streamed joints on the bus, a lower speed_max_deg_s, "
+        f"`filter_count: {count}`, or `drive: timed`",
+        bus=bus.name,
+        utilisation_ratio=0.0 if use is None else use.utilisation_ratio,
+    )
 
 
 def verify_profiles(profiles_by_joint: Mapping[str, PiecewiseProfile], robot: Robot) -> None:

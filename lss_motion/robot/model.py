@@ -179,6 +179,8 @@ class Joint:
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4
     """FPC of a streamed joint. Chosen: see `program.streamed`."""
+    filter_phase_ratio: float = 0.0
+    """When in its period the filter of a streamed joint is assumed to step (`verify.driven`)."""
     lines: Mapping[str, int] = field(default_factory=dict, compare=False, repr=False)
     """The line of each field in the robot file."""
 

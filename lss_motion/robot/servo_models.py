@@ -208,6 +208,12 @@ def can_be_streamed(joint: Joint, bus: Bus) -> bool:
     return "streamed" in FAMILIES[joint.model.family].drives and bus.firmware >= FILTER_FIRMWARE_MIN
 
 
+def needs_filter(joint: Joint) -> bool:
+    """Return whether only the filter of a servo can follow the acceleration of the joint."""
+    can_stream = "streamed" in FAMILIES[joint.model.family].drives
+    return can_stream and joint.accel_max_deg_s2 > joint.model.accel_max_deg_s2
+
+
 def board_problems(
     buses: Mapping[str, Bus], joints: Mapping[str, Joint]
 ) -> Iterator[tuple[tuple[str, str, str], str]]:

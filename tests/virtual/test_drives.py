@@ -12,6 +12,7 @@ import pytest
 
 from lss_motion import api
 from lss_motion.player.events import Warned
+from lss_motion.program.streamed import filter_accel
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
@@ -295,3 +296,22 @@ def test_the_owl_of_the_examples_flaps_and_blinks(stage):
     assert max(by_name[name] for name in ("left_lid", "right_lid", "beak")) < 1.0
     assert played.report.joints["left_lid"].readings == 0
     assert max(len(line) - 1 for line in played.lines()) <= 15
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_in_em0_no_pause_on_a_slow_line_breaks_the_acceleration(stage, kit, seed):
+    """It was 1,370 deg/s² with a target for every second step, and with moves between."""
+    robot = kit.robot(3, baud_bps=19200)
+    joints = dict(robot.joints)
+    for name in ("j1", "j2"):
+        joints[name] = replace(joints[name], drive="streamed", filter_count=3)
+    robot = replace(robot, joints=joints)
+    show = kit.sequence(3, 6.0, seed=seed, swing_deg=60.0, step_s=(0.5, 0.8))
+    wishes = [(kit.in_show(1.0 + 0.2 * seed), kit.rate(0.0)), (stands, kit.rate(0.5)),
+              (kit.in_show(3.0), kit.rate(1.0))]  # fmt: skip
+    played = stage.play(robot, show, wishes=wishes, physics=QUIET, seed=seed)
+    assert played.report.outcome == "finished"
+    for name, servo_id in (("j1", 2), ("j2", 3)):
+        received_ns, targets_deg = np.array(bare(played, servo_id)).T
+        accel_deg_s2, _ = filter_accel(received_ns / 1e9, targets_deg, targets_deg[0], joints[name])
+        assert accel_deg_s2 < 1.05 * (ACCEL_DEG_S2 + TOLERANCE_DEG / FILTER_S**2)

@@ -6,7 +6,15 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.program.line import TURNAROUND_US, LineSchedule, line_use, reading_rate_hz
+from lss_motion.program.line import (
+    TURNAROUND_US,
+    LineSchedule,
+    line_use,
+    longest_move,
+    reading_rate_hz,
+    sent_us,
+    with_phases,
+)
 
 
 def test_a_free_line_is_reserved_right_before_the_request():
@@ -224,3 +232,17 @@ def test_the_promised_number_of_queries_fits_in_any_second(kit, seed):
     answered = 1e6 / TURNAROUND_US
     assert promised <= counts.min() + 1
     assert promised >= min(answered / 2, counts.min() - 2) - 1
+
+
+@pytest.mark.parametrize(
+    ("count", "baud_bps", "gap_us"), [(2, 19_200, 7200), (4, 19_200, 0), (4, 115_200, 1200)]
+)
+def test_targets_of_streamed_joints_never_need_the_line_at_once(kit, count, baud_bps, gap_us):
+    """Filters need them at even distances; then a move of another joint has its gap."""
+    streamed = [kit.joint(f"j{i}", i + 1, drive="streamed") for i in range(count)]
+    robot = with_phases(kit.robot(kit.joint("timed", 60), *streamed, baud_bps=baud_bps))
+    slot_us = max(sent_us(len(longest_move(joint)), baud_bps) for joint in streamed)
+    begins_us = [20_000 * robot.joints[joint.name].filter_phase_ratio for joint in streamed]
+    assert min(b - a for a, b in pairwise(begins_us)) >= slot_us
+    left_us = begins_us[0] + 20_000 - (begins_us[-1] + slot_us)
+    assert left_us >= gap_us

@@ -8,9 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from lss_motion.errors import LineLoadError
 from lss_motion.program.compile import compile_program
 from lss_motion.program.model import Driving
-from lss_motion.program.streamed import FilterProfile
+from lss_motion.program.streamed import FilterProfile, filter_accel
 from lss_motion.program.verify import profiles
 from lss_motion.robot.model import Response
 from lss_motion.sequence.model import Keyframe, Sequence
@@ -132,3 +133,63 @@ def test_a_relaxed_tolerance_asks_a_joint_in_em0_for_no_more_acceleration(kit):
         for tolerance_deg in (0.2, 1.6)
     )
     assert relaxed <= 1.01 * usual
+
+
+def stepped_accel_deg_s2(received_s, targets_deg, joint, phase_s):
+    """Return the largest acceleration of a horn if its filter steps at `phase_s`, step by step."""
+    lag_ratio = 1.0 - math.exp(-PERIOD_S / joint.response.lag_s)
+    value = step = lagged = worst = 0.0
+    at_s = received_s[0] - PERIOD_S + phase_s
+    while at_s < received_s[-1] + 0.4:
+        before = [target for own_s, target in zip(received_s, targets_deg, strict=True)
+                  if own_s < at_s]  # fmt: skip
+        target = before[-1] if before else 0.0
+        after = (value * (joint.filter_count - 1) + target) / joint.filter_count
+        lagged += lag_ratio * (after - value - step - lagged)
+        value, step, worst = after, after - value, max(worst, abs(lagged))
+        at_s += PERIOD_S
+    return worst / PERIOD_S**2
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.004, 0.012])
+def test_a_filter_whose_target_is_late_brakes_by_itself(kit, late_s):
+    joint = kit.joint("j1", 2, drive="streamed", filter_count=3)
+    speed_deg_s = 180.0 * np.minimum(1.0, np.minimum(np.arange(80), np.arange(80)[::-1]) / 20)
+    targets_deg = np.cumsum(speed_deg_s) * PERIOD_S + 3 * speed_deg_s * PERIOD_S
+    received_s = 1.0 + PERIOD_S * np.arange(80)
+    received_s[40] += late_s
+    found_deg_s2, at_s = filter_accel(received_s, targets_deg, 0.0, joint)
+    phases_s = np.arange(0.0001, PERIOD_S, 0.0002)
+    worst_deg_s2 = max(
+        stepped_accel_deg_s2(received_s.tolist(), targets_deg.tolist(), joint, phase_s)
+        for phase_s in phases_s
+    )
+    assert found_deg_s2 == pytest.approx(worst_deg_s2, rel=0.01)
+    if late_s:
+        brakes_deg_s2 = 180.0 / (3 * PERIOD_S) * (1.0 - math.exp(-1.0))
+        assert found_deg_s2 == pytest.approx(brakes_deg_s2, rel=0.01)
+        assert at_s == pytest.approx(received_s[40], abs=0.02)
+
+
+def test_a_line_that_cannot_carry_targets_evenly_is_refused_with_what_helps(kit):
+    """The programs of five streamed joints at 19,200 bps let a filter wait for its target."""
+    joints = [kit.joint(f"j{i}", i + 1, drive="streamed") for i in range(5)]
+    with pytest.raises(
+        LineLoadError, match=r"'j1' would brake or catch up with 1\d+ deg/s²"
+    ) as fault:
+        kit.compiled(kit.robot(*joints, baud_bps=19_200), duration_s=5.0)
+    for remedy in ("faster baud rate", "fewer streamed", "speed_max_deg_s", "`filter_count: 5`"):
+        assert remedy in str(fault.value)
+    program, _ = kit.compiled(kit.robot(*joints[:4], baud_bps=19_200), duration_s=5.0)
+    assert len(program.drives) == 4
+
+
+@pytest.mark.parametrize(("seed", "count"), [(2, 2), (2, 4), (2, 8)])
+def test_a_fit_alone_on_its_line_keeps_the_acceleration_and_its_tolerance(kit, seed, count):
+    """It was up to 1,390 deg/s², as one target served several steps where the joint turns."""
+    joint = kit.joint("j1", 2, drive="streamed", filter_count=count, zero_deg=3.3)
+    program, _ = kit.compiled(kit.robot(joint), seed=seed)
+    received_s = np.array([move.due_us for move in program.moves]) / 1e6
+    targets_deg = np.array([move.target_wire for move in program.moves]) / 10.0
+    accel_deg_s2, _ = filter_accel(received_s, targets_deg, 3.3, joint)
+    assert accel_deg_s2 < 600.0 + 0.2 / PERIOD_S**2
