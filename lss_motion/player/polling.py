@@ -145,6 +145,7 @@ class PollScheduler:
             for expired in tracker.expire(now_ns):
                 self._note_timeout(bus, expired, now_ns)
                 self._choice.touch(bus)
+                self._choice.note_timeout(bus)
             if self._is_starved(bus, now_ns):
                 self._poll_overdue(bus, now_ns)
             if now_ns < self._rest_until_ns:

@@ -115,6 +115,12 @@ def has_strayed(state: JointState) -> bool:
     return state.lost_moves is not None and state.lost_moves.is_doubtful
 
 
+def is_led(state: JointState) -> bool:
+    """Return whether the last target found a streamed joint in motion."""
+    at_ns = state.last_arrival_ns
+    return state.setpoints is not None and at_ns is not None and state.place(at_ns)[1] != 0.0
+
+
 def _target_ns(state: JointState) -> float:
     """Return when a servo must be polled for its target; infinite: it need not be."""
     target_s = state.target_due_s
@@ -170,6 +176,9 @@ class QueryChoice(ABC):
     @abstractmethod
     def touch(self, bus: str, state: JointState | None = None) -> None:
         """Note that a servo has answered; without `state`: that any servo of a bus may have not."""
+
+    def note_timeout(self, bus: str) -> None:  # noqa: B027  (only one kind of choice uses it)
+        """Note that a query was not answered."""
 
     def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
         """Note that the query which `next_query` returned was sent."""
@@ -315,6 +324,8 @@ class ByNeed(QueryChoice):
         self._since_ns: dict[str, int] = {}
         """By joint, when it was first queried for its angle here."""
         self._rested_ns = None if pace.resting_hz is None else ns_from_s(1.0 / pace.resting_hz)
+        self._lossy: set[str] = set()
+        """Buses on which a query was not answered."""
         self._rounds = {
             bus: _Round(states, [0.0] * len(states), set(range(len(states))), [None] * len(states))
             for bus, states in polled.by_bus.items()
@@ -410,9 +421,20 @@ class ByNeed(QueryChoice):
         return max(due_ns, self._quiet_until_ns(bus, state))
 
     def _place_period_ns(self, state: JointState) -> int:
-        return self._resting_ns(state) or (
-            self._strayed_ns if has_strayed(state) else self._steady_ns
-        )
+        """Return how often the angle of a joint is queried.
+
+        If the servo of a streamed joint restarts unnoticed, the next bare `D` leads it to a target
+        far ahead, and nothing limits its speed but what it has stored. So it is read more often
+        while it moves, but not on a line that loses answers: three in a row hold its moves back.
+        """
+        is_soon = is_led(state) and state.joint.bus not in self._lossy
+        rested_ns = self._resting_ns(state)
+        if rested_ns is not None:
+            return rested_ns
+        return self._strayed_ns if is_soon or has_strayed(state) else self._steady_ns
+
+    def note_timeout(self, bus: str) -> None:
+        self._lossy.add(bus)
 
     def _resting_ns(self, state: JointState) -> int | None:
         place_ns = self._places_ns.get(state.joint.name)

@@ -145,3 +145,19 @@ def test_a_servo_that_falls_silent_is_asked_on_while_the_others_keep_their_pace(
     desk.run(KNOWN_NS, KNOWN_NS + 1100 * MS)
     assert [name for name, _ in desk.scheduler.health.active_faults] == ["j1"]
     assert len(asked(desk, "QD", 1)) == pytest.approx(1.1 * BY_NEED.steady_hz, abs=2)
+
+
+@pytest.mark.parametrize(("is_lossy", "hz"), [(False, 20.0), (True, 10.0)])
+def test_a_streamed_joint_that_moves_is_queried_twice_as_often(kit, is_lossy, hz):
+    """After an unnoticed restart nothing limits its speed but what its servo has stored."""
+    state = kit.state(kit.joint("j0", 1, drive="streamed"))
+    desk = by_need(state)
+    if is_lossy:
+        desk.scheduler._choice.note_timeout("main")
+    desk.run(0, S)
+    for step in range(50):
+        state.note_sent(S + step * 20 * MS, 4 * step, None)
+        place = round(10 * state.place(S + step * 20 * MS)[0])
+        desk.values[1, "QD"] = place
+        desk.run(S + step * 20 * MS, S + (step + 1) * 20 * MS)
+    assert len(asked(desk, "QD", from_ns=S)) == pytest.approx(hz, abs=2)
