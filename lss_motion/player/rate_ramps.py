@@ -34,6 +34,8 @@ RAMP_LINE_RATIO: Final = 0.5
 GUIDE_LINE_RATIO: Final = 0.85
 """Guiding targets take no more of the line than this. The program sends as many where all joints
 that are guided move, and one for two steps breaks the limit of a fast joint (`streamed`)."""
+SPOT_WAIT_NS: Final = 2 * GUIDE_PERIOD_NS
+"""A spot move waits no longer for a gap between guiding targets. Chosen: two of their rounds."""
 RAMP_LEAST_S: Final = 0.3
 RAMP_ACCEL_RATIO: Final = 0.4
 """A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
@@ -51,6 +53,16 @@ class SpotMove(NamedTuple):
     state: JointState
     aim_deg: float
     left_s: float
+
+
+class Spot(NamedTuple):
+    """A joint that is to get a spot move at a tick of the rate."""
+
+    state: JointState
+    since_ns: int
+    period_ns: int
+    """The time that its spot move has; 0: it gets the rest of its move under way."""
+    late_ns: int
 
 
 def ramp_s(

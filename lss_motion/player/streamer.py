@@ -21,7 +21,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import dropwhile
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
 from lss_motion.player.cues import Waiting
@@ -36,9 +36,10 @@ from lss_motion.player.joint_state import (
 from lss_motion.player.polling import PollScheduler
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.rate_ramps import (
-    GUIDE_PERIOD_NS,
     RAMP_TICK_NS,
+    SPOT_WAIT_NS,
     RampPeriods,
+    Spot,
     first_guide_ns,
     guide,
     is_off_course,
@@ -85,18 +86,6 @@ PRE_ROLL_S: Final = 1.0
 their lead, lights by the order in which they are sent."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """If a move leaves later than this, T is computed anew; a smaller delay would not change T."""
-SPOT_WAIT_NS: Final = 2 * GUIDE_PERIOD_NS
-"""A spot move waits no longer for a gap between guiding targets. Chosen: two of their rounds."""
-
-
-class Spot(NamedTuple):
-    """A joint that is to get a spot move at a tick of the rate."""
-
-    state: JointState
-    since_ns: int
-    period_ns: int
-    """The time that its spot move has; 0: it gets the rest of its move under way."""
-    late_ns: int
 
 
 def _early_us(by_address: Mapping[tuple[str, int], JointState], move: Move) -> int:
