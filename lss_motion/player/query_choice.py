@@ -108,7 +108,7 @@ RESTED_NS: Final = 2 * NS_PER_S
 def has_strayed(state: JointState) -> bool:
     """Return whether the next readings of a joint are worth more than usual."""
     load = state.disturbance
-    if abs(load.error_deg) > STRAYED_DEG or state.in_doubt:
+    if abs(load.error_deg) > STRAYED_DEG or state.in_doubt or state.standing.is_undecided:
         return True
     if abs(load.offset_deg - load.estimate_deg) > UNCORRECTED_DEG:
         return True

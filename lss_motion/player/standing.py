@@ -65,6 +65,13 @@ class StandingCorrector:
         self._tried_deg = None
         self.is_pushed, self._misses, self._attempts = False, 0, 0
 
+    @property
+    def is_undecided(self) -> bool:
+        """Whether the next few readings decide about a correction."""
+        errors = self._errors_deg
+        is_open = bool(errors) and len(errors) <= READINGS_LEAST
+        return is_open and abs(errors[-1]) > STANDING_DEG and self._attempts < ATTEMPTS_IN_ALL
+
     def await_rest(self) -> None:
         """Drop the readings before a correction took effect."""
         self._errors_deg.clear()
