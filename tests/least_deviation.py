@@ -27,12 +27,10 @@ def optimum(
     *,
     exact: Sequence[tuple[float, float]] = (),
     ratio: float = 1.0,
-    accel_share: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return times and angles of the closest motion from rest to rest; None if there is none.
 
-    `exact` has instants and angles that must be met, `ratio` scales the limits of the joint,
-    `accel_share` that of its acceleration alone.
+    `exact` has instants and angles that must be met, `ratio` scales the limits of the joint.
     """
     cells = round(duration_s / STEP_S)
     step_s = duration_s / cells
@@ -69,7 +67,7 @@ def optimum(
         [
             np.full(count, joint.position_max_deg),
             np.full(count, ratio * joint.speed_max_deg_s),
-            np.full(cells, ratio * accel_share * joint.accel_max_deg_s2),
+            np.full(cells, ratio * joint.accel_max_deg_s2),
         ]
     )
     low = np.concatenate([np.full(count, joint.position_min_deg), -high[count:]])

@@ -122,7 +122,8 @@ class Wanted:
     """The wanted motion over `cells` cells of `cell_s`, from `from_s` on.
 
     `deg` has its angles at the Gauss points of each cell, (cells, 4), `weights` how much each
-    counts. `may_miss` are ties that are priced instead of required.
+    counts. `may_miss` are ties that are priced instead of required. `accel_shares` are the shares
+    of the acceleration limit that may be used at the ends of the cells; None: all of it.
     """
 
     from_s: float
@@ -133,6 +134,7 @@ class Wanted:
     ties: tuple[Tie, ...] = ()
     may_miss: tuple[Tie, ...] = ()
     pulls: tuple[Pull, ...] = ()
+    accel_shares: FloatArray | None = None
 
     @property
     def cells(self) -> int:
@@ -145,6 +147,10 @@ class Closest:
 
     coefficients: FloatArray
     missed_deg: FloatArray
+
+    def accels(self, cell_s: float) -> FloatArray:
+        """Return the acceleration at the ends of the cells, between which it is linear."""
+        return np.asarray(np.diff(self.coefficients, 2) / cell_s**2)
 
     def cubics(self, cell_s: float) -> FloatArray:
         """Return the cubics of the cells in rising powers of the time in the cell, (cells, 4)."""
@@ -178,9 +184,10 @@ class _Rows:
         span_deg = float(np.ptp(wanted.deg))
         reach_deg = NEAR_RANGE_RATIO * span_deg
         step = bounds.speed_deg_s * wanted.cell_s
-        bend = bounds.accel_deg_s2 * wanted.cell_s**2
+        shares = 1.0 if wanted.accel_shares is None else wanted.accel_shares
+        bend = bounds.accel_deg_s2 * wanted.cell_s**2 * shares
         low_deg, high_deg = bounds.low_deg - self.origin_deg, bounds.high_deg - self.origin_deg
-        self.kinds: dict[str, tuple[int, float, float]] = {
+        self.kinds: dict[str, tuple[int, float | FloatArray, float | FloatArray]] = {
             "bend": (2, -bend, bend),
             "step": (1, -step, step),
             "low": (0, low_deg, np.inf),
@@ -204,7 +211,7 @@ class _Rows:
         for kind, (order, low, high) in self.kinds.items():
             values = np.diff(coefficients, order)
             values = values - self.origin_deg if order == 0 else values
-            if kind not in self.given and (values.min() < low or values.max() > high):
+            if kind not in self.given and ((values < low) | (values > high)).any():
                 missing.add(kind)
         self.given |= missing
         return bool(missing)
@@ -217,9 +224,9 @@ class _Rows:
             order, low, high = self.kinds[kind]
             matrix = _differences(count, order)
             for sign, bound in ((1.0, high), (-1.0, -low)):
-                if np.isfinite(bound):
+                if np.isfinite(bound).all():
                     matrices.append(sign * matrix)
-                    rights.append(np.full(count - order, bound))
+                    rights.append(np.broadcast_to(bound, count - order))
         return matrices, rights
 
     def ties(self, ties: Iterable[Tie]) -> tuple[Any, FloatArray, FloatArray]:

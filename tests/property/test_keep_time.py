@@ -15,8 +15,6 @@ from tests.joints import joint
 from tests.least_deviation import optimum
 
 MOTIONS = 24
-ACCEL_SHARE = 0.98
-"""What a motion that gives up angle may use of the acceleration limit."""
 RATIO = 1.01
 RMS_DEG = 0.002
 """Deviations that differ by less are equal: the optimum itself is sampled."""
@@ -99,7 +97,7 @@ def test_the_deviation_is_within_a_hundredth_of_the_least(seed):
     trajectory = plan(sequence, robot)
     check_limits(trajectory, robot)
     assert trajectory.duration_s == pytest.approx(sequence.keyframes[-1].at_s, abs=1e-9)
-    best = optimum(asked, trajectory.duration_s, robot.joints["jaw"], accel_share=ACCEL_SHARE)
+    best = optimum(asked, trajectory.duration_s, robot.joints["jaw"])
     assert best is not None
     times_s, best_deg = best
     own = trajectory.sample(times_s)[:, 0] - asked(times_s)
