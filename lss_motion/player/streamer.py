@@ -486,9 +486,10 @@ class Streamer:
             other.halt(since_ns, now_ns)
 
     def _send_all_due(self, now_ns: int) -> None:
-        """Send the moves that are due; of those that are late only the latest one of each joint.
+        """Send the moves that are due; of several for one joint only the latest.
 
         A servo that receives several at once obeys the last only, as late as they keep the line.
+        Several are due at once after a stall, and where a joint turns out to lag more than before.
         """
         due: list[tuple[int, Due]] = []
         while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
@@ -496,10 +497,9 @@ class Streamer:
         latest = {(one.move.bus, one.move.servo_id): one.number for _, one in due}
         for due_ns, one in due:
             self.has_moved = True
-            is_latest = latest[one.move.bus, one.move.servo_id] == one.number
-            if is_latest or now_ns - due_ns <= ON_TIME_NS:
+            if latest[one.move.bus, one.move.servo_id] == one.number:
                 self._send_due(one.due_us, one.move, now_ns, now_ns - due_ns)
-            else:
+            elif now_ns - due_ns > ON_TIME_NS:
                 self.statistics.left_out()
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:

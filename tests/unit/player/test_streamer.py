@@ -231,6 +231,17 @@ def test_what_was_learnt_of_a_lag_lets_moves_leave_earlier(kit):
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.07, 1.17])
 
 
+def test_a_joint_that_lags_more_than_before_gets_the_latest_of_its_moves_only(kit):
+    stage = Stage(kit, tuple(move(1.0 + 0.01 * one, one, 0.2) for one in range(20)))
+    stage.run(1.05)
+    stage.state.early_s = 0.03
+    stage.run(3.0)
+    instants_s = [at_s for at_s, _ in stage.sent]
+    assert len(set(instants_s)) == len(instants_s) == 17, "three moves are due together with others"
+    assert stage.sent[-1][1].startswith(b"#1D190T")
+    assert stage.streamer.statistics.missed == 0
+
+
 def test_a_joint_that_is_left_out_is_sent_nothing_until_it_is_back(kit):
     stage = Stage(kit)
     stage.streamer.leave_out({"j0"})
