@@ -67,10 +67,10 @@ SPEED_SLACK_RATIO: Final = 1.15
 MEMORY_S: Final = 600.0
 SETTLED_H: Final = 0.4
 """Later samples of the memory count: until then it fills its rings and caches."""
-GROWTH_MAX_B, GROWTH_MAX_B_H = 3_000_000, 100_000
-OBJECTS_MAX, OBJECTS_MAX_H = 2000, 100
-"""Growth in all, and in an hour, as a line through the samples. Chosen: of a week 20 MB; shows that
-stayed in memory would be some thousand objects each minute."""
+GROWTH_MAX_B, GROWTH_MAX_B_H = 10_000_000, 100_000
+OBJECTS_MAX, OBJECTS_MAX_H = 20_000, 100
+"""Growth in all, and in an hour, as a line through the samples; that of an hour has few of them.
+Chosen: of a week 27 MB; shows that stayed in memory would be some thousand objects each."""
 PAGE_B: Final = resource.getpagesize()
 MOVE: Final = re.compile(rb"#(\d+)D(-?\d+)(?:T\d+|S\d+)?\r")
 SAFE: Final = re.compile(rb"#254[HL]\r\Z")

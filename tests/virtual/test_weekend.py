@@ -41,6 +41,7 @@ def test_an_hour_of_the_weekend(tmp_path):
 def test_what_a_weekend_must_not_show_is_named(outcome):
     bad = replace(
         outcome,
+        hours=48.0,
         objections=Counter({"horn 1 moves too fast": 3}),
         explained=outcome.triggers - 1,
         log_bytes=3_000_000,
