@@ -68,9 +68,32 @@ def _example(arguments: argparse.Namespace) -> int:
         raise InputError(f"unknown example {arguments.name!r}; {known_names(name, names)}")
     for path in write_example(name, Path(), is_forced=arguments.force):
         print(f"wrote {path}")
-    is_stage = _file(name).startswith(STAGES)
-    print(f"{'run it: lss-motion serve' if is_stage else 'play it: lss-play'} {_file(name)}")
+    for line in _commands(name):
+        print(line)
     return EXIT_FINISHED
+
+
+def _commands(name: str) -> list[str]:
+    """Return how a written example is played: a line, or one for each figure of a stage."""
+    file = _file(name)
+    if not file.startswith(STAGES):
+        return [f"play it: lss-play {file}"]
+    import yaml
+
+    stage: dict[str, Any] = yaml.safe_load(_text(file))
+    first, *others = _served(stage)
+    lines = [f"run it: lss-motion serve {file}{first}"]
+    return lines + [f"and in another terminal: lss-motion serve {file}{one}" for one in others]
+
+
+def _served(stage: dict[str, Any]) -> list[str]:
+    """Return the options by which the parts of a stage are served, the conductor last."""
+    figures = list(stage.get("figures", ()))
+    if not figures:
+        return [""]
+    conductor = stage.get("conductor", figures[0])
+    others = [f" --figure {name}" for name in figures if name != conductor]
+    return [*others, f" --figure {conductor} --go"]
 
 
 def example_names() -> list[str]:
