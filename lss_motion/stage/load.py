@@ -470,6 +470,12 @@ class _Loader:
             SendOutput(**dict(output), line=self.source.line(("sync", "send", index)))
             for index, output in enumerate(entry.send)
         )
+        if send and self.content.figures:
+            text = (
+                "a stage with figures does not send its clock: take send out, and let lights and "
+                "sound follow the timecode that the figures follow (sync: {timecode: …})"
+            )
+            self._note(("sync", "send"), text)
         for index, output in enumerate(send):
             try:
                 send_spec_of(output)

@@ -151,9 +151,13 @@ def test_what_figures_cannot_do_together_is_refused_with_its_line(tmp_path):
         "hello: hello.yaml, scare: scare.yaml", "hello: idle.yaml, scare: idle.yaml"
     )
     text = text.replace("start: queue", "start: add") + "duty: {rest: idle, limp: true}\n"
+    text += "sync:\n  send: [{kind: artnet, output: 127.0.0.1}]\n"
     (tmp_path / "hall.yaml").write_text(text)
     with pytest.raises(InputError) as refused:
         load_stage(tmp_path / "hall.yaml")
     found = {(one.line, one.reason) for one in (refused.value, *refused.value.more)}
     assert any(line == 8 and "figures play one show together" in reason for line, reason in found)
     assert any(line == 11 and "limp belongs to one robot" in reason for line, reason in found)
+    assert any(
+        line == 13 and "does not send its clock: take send" in reason for line, reason in found
+    )
