@@ -94,6 +94,8 @@ class Conductor:
         self._is_paused = False
         self._limit = 1.0
         """What `others` allows at present."""
+        self._led_rate = 1.0
+        """That of a leader, if there is one."""
         self._start_s = 0.0
         self._notes: list[str] = []
         self._begun_ns: int | None = None
@@ -188,7 +190,7 @@ class Conductor:
         self.run += 1
         self._start_s = start_s
         self.wanted, self.leg = "armed", None
-        self._limit, self._is_paused = 1.0, False
+        self._limit, self._led_rate, self._is_paused = 1.0, 1.0, False
 
     def start(self, now_ns: int, leader: Leg | None = None) -> NetworkLeg:
         """Make the first leg, that of a leader if there is one.
@@ -205,7 +207,8 @@ class Conductor:
         at_ns = now_ns + LEAD_NS
         show_s, rate = self._start_s, 1.0
         if leader is not None:
-            show_s, rate = leader.at_s(at_ns), min(leader.rate, 1.1)
+            show_s = leader.at_s(at_ns)
+            rate = self._led_rate = min(leader.rate, 1.1)
         self.leg = NetworkLeg(number=1, instant_ns=at_ns, show_s=show_s, rate=rate)
         return self.leg
 
@@ -230,14 +233,21 @@ class Conductor:
         )
 
     def trim(self, instant_ns: int, show_s: float, rate: float, now_ns: int) -> None:
-        """Follow a leader: at `instant_ns` the show was at `show_s`, at this rate."""
+        """Follow a leader: at `instant_ns` the show was at `show_s`, at this rate.
+
+        While the show is paused or slowed down for a figure, it is met only afterwards.
+        """
         leg = self._require_leg()
         at_ns = now_ns + LEAD_NS
         if leg.instant_ns > now_ns:
             return  # One leg at a time: figures may not have got the last one yet.
+        self._led_rate = min(max(rate, 0.0), 1.1)
+        if self._is_paused or self._limit < 1.0:
+            self._rerate(now_ns)
+            return
         at_s = show_s + rate * (at_ns - instant_ns) / NS_PER_S
         self.leg = NetworkLeg(
-            number=leg.number + 1, instant_ns=at_ns, show_s=at_s, rate=min(max(rate, 0.0), 1.1)
+            number=leg.number + 1, instant_ns=at_ns, show_s=at_s, rate=self._led_rate
         )
 
     def stop(self) -> None:
@@ -374,7 +384,7 @@ class Conductor:
 
     @property
     def _wanted_rate(self) -> float:
-        return 0.0 if self._is_paused else self._limit
+        return 0.0 if self._is_paused else self._limit * self._led_rate
 
     def _rerate(self, now_ns: int) -> None:
         """Make a leg with the rate that is wanted, where the present one will have come to."""

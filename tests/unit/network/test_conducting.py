@@ -2,14 +2,19 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from benches.network import moving, one_joint, played
 from benches.stage_model import World
 from lss_motion.errors import InputError
 from lss_motion.network.conducting import Conducting, Offer
+from lss_motion.network.host import Host
 from lss_motion.network.messages import Ask, Cast, hash_of, packed
+from lss_motion.remote.schema import Follow
 from lss_motion.remote.stage_messages import StageState
 from lss_motion.stage.load import load_stage
+from lss_motion.stage.timecode import StageTimecode
 from lss_motion.units import NS_PER_S
 
 ROBOT = """\
@@ -33,51 +38,45 @@ on_fault: {others: hold, wait_s: 3}
 LONG_S = 20.0
 
 
-class Bridge:
-    """What `Host` does for `Conducting`, in virtual time."""
+class Bridge(Host):
+    """The host of the conductor without its network and its player, in virtual time."""
 
     def __init__(self, world):
         self.world, self.conductor = world, world.conductor
-        self.is_arming, self.leader = False, None
+        self.texts = []
+        self.log = self.texts.append
+        self.player = SimpleNamespace(stop=lambda: None)
+        self._now_ns = lambda: world.now_ns
+        self._arming_ns = self._leader = None
 
     def load(self, cast, contents):
         self.world.store |= contents
         self.conductor.load(cast)
 
-    def problems(self):
-        return self.conductor.problems(self.world.now_ns)
-
-    def go(self, start_s, leader):
-        self.conductor.arm(self.world.now_ns, start_s)
-        self.is_arming, self.leader = True, leader
-
-    def stop(self):
-        self.conductor.stop()
-
     def tick(self):
         conductor, now_ns = self.conductor, self.world.now_ns
-        if self.is_arming and conductor.is_armed(now_ns):
-            self.is_arming = False
-            conductor.start(now_ns)
-        show_s = conductor.show_s(now_ns)
-        if show_s is not None and show_s > conductor.cast.duration_s + 1.0:
+        if self._arming_ns is not None:
+            self._start(conductor, self._arming_ns, now_ns)
+        if conductor.leg is not None and self._is_over(conductor, now_ns):
             conductor.end()
 
 
-@pytest.fixture
-def evening(tmp_path):
-    (tmp_path / "robot.yaml").write_text(ROBOT)
+def begun(folder, text, timecode=None, show_s=LONG_S):
+    """A stage in virtual time, from its file; `timecode` gives the legs of its timecode."""
+    (folder / "robot.yaml").write_text(ROBOT)
     for name in ("idle", "hello", "scare"):
-        (tmp_path / f"{name}.yaml").write_text("sequence: x\n")
-    (tmp_path / "hall.yaml").write_text(STAGE)
-    stage = load_stage(tmp_path / "hall.yaml")
-    world = World(3, seed=2, show_s=LONG_S)
+        (folder / f"{name}.yaml").write_text("sequence: x\n")
+    (folder / "hall.yaml").write_text(text)
+    stage = load_stage(folder / "hall.yaml")
+    world = World(3, seed=2, show_s=show_s)
     bridge, records = Bridge(world), []
     offers = {}
     for name in stage.shows:
-        cast = Cast(show=name, duration_s=LONG_S, parts=world.cast.parts)
+        cast = Cast(show=name, duration_s=show_s, parts=world.cast.parts)
         offers[name] = Offer(cast, {hash_of(packed(cast)): packed(cast)})
-    run = Conducting(stage, offers, bridge, records.append, seed=1)
+    given = stage.sync.timecode
+    led = None if given is None else StageTimecode(given, timecode(world))
+    run = Conducting(stage, offers, bridge, records.append, seed=1, timecode=led)
     texts = lambda: " | ".join(one["text"] for one in records)  # noqa: E731
 
     def until(is_true, seconds):
@@ -96,6 +95,11 @@ def evening(tmp_path):
     return SimpleNamespace(
         world=world, run=run, until=until, playing=playing, texts=texts, conductor=world.conductor
     )
+
+
+@pytest.fixture
+def evening(tmp_path):
+    return begun(tmp_path, STAGE)
 
 
 def ask(**fields):
@@ -161,3 +165,114 @@ def test_what_figures_cannot_do_together_is_refused_with_its_line(tmp_path):
     assert any(
         line == 13 and "does not send its clock: take send" in reason for line, reason in found
     )
+
+
+# ---- timecode
+
+LED = STAGE.replace(
+    "cues:\n",
+    'cues:\n  - {cue: song, on: {timecode: "00:00:40:00"}, play: hello, start: terminate}\n',
+).replace("idle: idle\n", "", 1) + (
+    "sync: {timecode: {source: fpp, rate_fps: 25, freewheel_s: 2, lost: hold}}\n"
+)
+BEGIN_S = 40.0
+RATE = 1.0003
+"""Of the desk, whose clock is 300 ppm faster than that of the conductor."""
+
+
+class Desk:
+    """Gives ten legs a second: `at(seconds)` is a position and a rate, or None."""
+
+    def __init__(self, world, at):
+        self.world, self.at, self.next_ns = world, at, 0
+
+    def filenos(self):
+        return ()
+
+    def take_texts(self):
+        return ()
+
+    def take(self):
+        found = []
+        while self.next_ns <= self.world.now_ns:
+            led = self.at(self.next_ns / NS_PER_S)
+            if led is not None:
+                show_s, rate = led
+                found.append(
+                    Follow(id=1, instant_ns=self.next_ns, show_s=show_s, rate=rate, source="desk")
+                )
+            self.next_ns += NS_PER_S // 10
+        return found
+
+
+def late_ms(host, at):
+    """How late the moves reached the servo of a host, by the timecode, and at which true second."""
+    robot = one_joint()
+    program = moving(robot, LONG_S)
+    due_s = np.array([move.due_us / 1e6 for move in program.moves])
+    found = []
+    for own_ns in played(program, robot, host.player.follows):
+        true_s = host.clock.true_ns(own_ns) / NS_PER_S
+        led_s = at(true_s)[0] - BEGIN_S
+        found.append((true_s, 1000.0 * min(led_s - due_s, key=abs)))
+    return np.array(found)
+
+
+def test_timecode_leads_all_figures_from_their_first_move_through_a_stand_and_a_jump(tmp_path):
+    def at(seconds):
+        """From 20 s; stands at 46 s for 4 s of the conductor; jumps back at 52 s."""
+        position_s = 20.0 + RATE * seconds
+        if position_s < 46.0:
+            return position_s, RATE
+        position_s -= 4.0 * RATE
+        if position_s < 46.0:
+            return 46.0, 0.0
+        return position_s - (5.0 if position_s >= 52.0 else 0.0), RATE
+
+    own = begun(tmp_path, LED, lambda world: Desk(world, at))
+    own.until(lambda: own.playing("hello"), 30.0)
+    hosts = own.world.hosts.values()
+    own.until(lambda: all(host.player.view.phase == "ended" for host in hosts), 60.0)
+    for host in hosts:
+        late = late_ms(host, at)
+        true_s, off_ms = late[:, 0], late[:, 1]
+        before = off_ms[true_s < 25.9]
+        assert len(before) >= 5
+        assert np.abs(before).max() < 3.0, "from the first move on"
+        assert np.abs(off_ms[(true_s > 33.0) & (true_s < 35.9)]).max() < 5.0
+        after = off_ms[true_s > 43.0]
+        assert len(after) >= 2
+        assert np.abs(after).max() < 5.0
+
+
+def test_a_pause_and_a_lost_figure_hold_all_whatever_the_timecode_does(tmp_path):
+    def at(seconds):
+        return (20.0 + RATE * seconds, RATE) if seconds < 40.0 else None
+
+    own = begun(tmp_path, LED, lambda world: Desk(world, at), show_s=40.0)
+    world, conductor = own.world, own.conductor
+
+    def run(seconds):
+        end_ns = world.now_ns + seconds * NS_PER_S
+        own.until(lambda: world.now_ns >= end_ns, seconds + 1.0)
+
+    def off_s():
+        led_s = at(world.now_ns / NS_PER_S)[0] - BEGIN_S
+        return [host.player.view.show_s - led_s for host in world.hosts.values()]
+
+    own.until(lambda: own.playing("hello") and conductor.show_s(world.now_ns) > 2.0, 40.0)
+    conductor.pause(world.now_ns)
+    run(3.0)
+    assert conductor.leg.rate == 0.0, "a person has paused it"
+    conductor.resume(world.now_ns)
+    run(4.0)
+    assert off_s() == pytest.approx([0.0] * 3, abs=0.03)
+    world.hosts["f2"].is_cut = True
+    run(4.0)
+    assert conductor.leg.rate == 0.0, "others: hold"
+    world.hosts["f2"].is_cut = False
+    run(4.5)
+    assert off_s() == pytest.approx([0.0] * 3, abs=0.03)
+    run(5.0)
+    assert at(world.now_ns / NS_PER_S) is None
+    assert conductor.leg.rate == 0.0, "lost: hold"
