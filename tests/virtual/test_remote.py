@@ -11,6 +11,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.perform import Observer, perform
+from lss_motion.player.following import FollowRule
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job, play
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
@@ -300,3 +301,50 @@ def test_what_cannot_begin_ends_with_its_error(show):
     client.close()
     assert isinstance(client.outcome.error, InputError)
     assert "'j1'" in client.events[-1].error
+
+
+class Conductor(Operator):
+    """Tells a player where a show is that plays already: at 0 s at the instant 3 s."""
+
+    def take(self, now_ns):
+        super().take(now_ns)
+        return [m.Follow(id=1, instant_ns=now_ns, show_s=now_ns / S - 3.0, rate=1.0)]
+
+
+def test_a_player_that_comes_back_stands_where_the_show_will_be_and_gains_speed_by_a_ramp(
+    monkeypatch,
+):
+    import lss_motion.perform as module
+    from lss_motion import api
+
+    robot = make_robot(2, baud_bps=115200)
+    sequence = make_sequence(2, 12.0, step_s=(0.6, 0.9), swing_deg=60.0)
+    program = api.compile(api.plan(sequence, robot), robot)
+    real, results = module.perform, []
+    monkeypatch.setattr(
+        module, "perform", lambda *given, **more: results.append(real(*given, **more)) or results[0]
+    )
+    end, other = socket.socketpair()
+    for one in (end, other):
+        one.setblocking(False)
+    operator = Conductor(Link(other))
+    job = Job(
+        program=program,
+        robot=robot,
+        follow=FollowRule(lost="hold"),
+        options={"is_virtual": True, "start_s": 5.3},
+    )
+    outcome = job.run(operator)
+    end.close()
+    operator.link.close()
+    assert outcome.report.outcome == "finished"
+    (bus,) = results[0].simulated.values()
+    at_s = np.array([ns / S for ns, line in bus.lines if is_move(line)])
+    assert at_s[-1] == pytest.approx(15.0, abs=1.0), "in step at the end"
+    stood_s = max(np.diff(at_s[at_s < 9.0]))
+    assert stood_s > 1.5, "it waits for the show at its place"
+    horn_deg = bus.horn_deg(np.arange(0, round(15.5 * S), S // 200))
+    smooth = (horn_deg[4:] - horn_deg[:-4]) / 0.02
+    accel = (smooth[4:] - smooth[:-4]) / 0.02
+    limits = [joint.accel_max_deg_s2 for joint in robot.joints.values()]
+    assert (np.abs(accel).max(axis=0) <= 1.02 * np.array(limits)).all()
