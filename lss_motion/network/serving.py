@@ -52,6 +52,22 @@ class Take(Protocol):
     def __call__(self, operation: AnyOperation, origin: str) -> None: ...
 
 
+def begin_planner() -> None:
+    """Prepare the process that plans: Ctrl-C is not for it, and it ends with who started it.
+
+    A worker of a pool whose parent was killed would wait for work for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(0)
+
+
 def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettings:
     """Return the network settings of one figure of a stage."""
     if not stage.figures or stage.conductor is None:
@@ -206,8 +222,7 @@ class Commands:
         self._planners = ProcessPoolExecutor(
             1,
             multiprocessing.get_context("spawn"),
-            signal.signal,
-            (signal.SIGINT, signal.SIG_IGN),
+            begin_planner,
         )
         self._plan: tuple[str, Future[PlannedCast]] | None = None
         self._starts = starts

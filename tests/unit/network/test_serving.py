@@ -1,6 +1,8 @@
 """The conductor's computer plans beside the network, and obeys lines."""
 
 import io
+import subprocess
+import sys
 import time
 from collections import deque
 from pathlib import Path
@@ -75,3 +77,27 @@ def test_the_settings_are_those_of_the_stage(stage):
     )
     with pytest.raises(InputError, match="there are left, right"):
         settings_of(stage, "middle", is_trusted=False)
+
+
+KILLED = """
+import multiprocessing, sys
+from concurrent.futures import ProcessPoolExecutor
+from lss_motion.network.serving import begin_planner
+
+if __name__ == "__main__":
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(1, spawn, begin_planner)
+    print(pool.submit(abs, -1).result(), flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_planner_ends_with_a_conductor_that_is_killed(tmp_path):
+    path = tmp_path / "killed.py"
+    path.write_text(KILLED)
+    command = [sys.executable, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"1\n"
+        process.kill()
+        # Its output ends when nobody holds that any more.
+        assert process.communicate(timeout=60.0)[0] == b""
