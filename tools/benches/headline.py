@@ -70,6 +70,8 @@ def block() -> str:
         f"{met} of {targets} targets met, in {sum(run['seconds'].values()):.0f} s; "
         f"{about['processor']}, load before {about['load before']}; {about['versions']}.",
     ]
+    if again := run.get("again"):
+        lines += ["", f"Measured again after the others: {', '.join(again)}."]
     short = [
         f"- `{bench}`: {row['what']}: {row['ours']}, target {row['target']}"
         + (f" ({row['reference']})" if row["reference"] else "")
@@ -108,6 +110,20 @@ def line() -> str:
 def is_current() -> bool:
     """Return whether page and README show the figures of the last run."""
     return _parts(PAGE, TABLE)[1] == block() and _parts(README, LINE)[1] == line()
+
+
+def keep(run: dict[str, Any], *, is_whole: bool) -> None:
+    """Keep the figures of a run, and show them. One of some benches leaves those of the others.
+
+    The machine that is named is that of the last whole run.
+    """
+    if not is_whole:
+        some, run = run, json.loads(FIGURES.read_text(encoding="utf-8"))
+        run["seconds"] |= some["seconds"]
+        run["benches"] |= some["benches"]
+        run["again"] = sorted({*run.get("again", ()), *some["benches"]})
+    FIGURES.write_text(json.dumps(run, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write()
 
 
 def write() -> None:
