@@ -236,7 +236,10 @@ class _CommandText:
             comments=(
                 f"Imported from {path.name} ({title}, {order}).",
                 CONSTANT_SPEED,
-                *(f"`{wait}` is read as {unit}." for wait, unit in self.assumed.items()),
+                *(
+                    f"`{wait}` is read as {unit}; if it is not, write the unit."
+                    for wait, unit in self.assumed.items()
+                ),
                 *summarised(found),
             ),
             is_recording=is_recording,

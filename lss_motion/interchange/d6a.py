@@ -44,6 +44,15 @@ file ends there."""
 JOURNAL: Final = slice(18, 20)
 """Versions of the file format. 2 (write-ahead log) cannot be opened in memory; 1 reads the same."""
 
+HEADER_BYTES: Final = 100
+PAGE_BYTES: Final = slice(16, 18)
+PAGE_MOST: Final = 65_536
+"""Written as 1."""
+CHANGED: Final = slice(24, 28)
+PAGES: Final = slice(28, 32)
+COUNTED_AT: Final = slice(92, 96)
+"""Header of an SQLite file. The number of pages is valid where these two counters are equal."""
+
 _SERVO: Final = re.compile(r"servo(\d{1,3})", re.ASCII | re.IGNORECASE)
 
 Rows = list[tuple[object, ...]]
@@ -61,6 +70,8 @@ class D6aReader:
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         if not self.recognises(data):
             raise InputError("is not an SQLite file, as .d6a files are", path=path)
+        if len(data) < (size := _size(data)):
+            raise InputError(f"has {len(data)} of its {size} bytes: it was cut off", path=path)
         try:
             columns, rows = _read(path, data)
         except (sqlite3.Error, OverflowError, UnicodeDecodeError, MemoryError) as error:
@@ -102,6 +113,14 @@ class D6aReader:
                 comments=(f"Imported from {path.name} (Hiwonder action group); {scale}.",),
             ),
         )
+
+
+def _size(data: bytes) -> int:
+    """Return how many bytes the header says that there are; 0 if it does not say."""
+    if len(data) < HEADER_BYTES or data[CHANGED] != data[COUNTED_AT]:
+        return 0
+    page_bytes = int.from_bytes(data[PAGE_BYTES], "big")
+    return (PAGE_MOST if page_bytes == 1 else page_bytes) * int.from_bytes(data[PAGES], "big")
 
 
 def _read(path: Path, data: bytes) -> tuple[list[str], Rows]:

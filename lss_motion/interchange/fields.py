@@ -58,10 +58,13 @@ def parsed_json(path: Path, data: bytes) -> object:
 
     if data.count(b",") > COMMAS_MAX or data.count(b":") > COLONS_MAX:
         raise InputError(f"has more than {VALUES_MAX:,} values, the maximum", path=path)
+    text = text_of(data, path)
     try:
-        return json.loads(text_of(data, path), object_pairs_hook=once, parse_constant=refused)
+        return json.loads(text, object_pairs_hook=once, parse_constant=refused)
     except json.JSONDecodeError as error:
-        raise InputError(f"not JSON: {error.msg}", path=path, line=error.lineno) from error
+        is_cut = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
+        reason = "ends inside of its JSON: it was cut off" if is_cut else f"not JSON: {error.msg}"
+        raise InputError(reason, path=path, line=error.lineno) from error
     except InputError:
         raise
     except (RecursionError, ValueError) as error:  # ValueError: thousands of digits.

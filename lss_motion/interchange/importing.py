@@ -126,6 +126,8 @@ def read_motions(
         known = known_names(format_name, FORMAT_NAMES)
         raise InputError(f"unknown motion format {format_name!r}; {known}")
     data = read_data(path, RECORDING_MAX_BYTES)
+    if not data.strip():
+        raise InputError("is empty; write or copy it again", path=path)
     for reader in READERS:
         if reader.name == format_name or (format_name is None and reader.recognises(data)):
             return tuple(_distinct(reader.motions(path, data)))

@@ -43,9 +43,11 @@ class LeRobotReader:
     name: str = "lerobot"
 
     def recognises(self, data: bytes) -> bool:
-        return data.startswith(MAGIC) and data.endswith(MAGIC)
+        return data.startswith(MAGIC)
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+        if data.startswith(MAGIC) and not data.endswith(MAGIC):
+            raise InputError("does not end as a parquet file: it was cut off", path=path)
         column, values, times = _table(path, data)
         info = _info(path)
         fps = _fps(path, info)

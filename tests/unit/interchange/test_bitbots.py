@@ -108,7 +108,7 @@ def test_a_wrong_keyframe_is_refused_with_its_place(change, reason: str) -> None
 @pytest.mark.parametrize(
     ("data", "line", "reason"),
     [
-        (b"", 1, "not JSON"),
+        (b"", 1, "ends inside of its JSON: it was cut off"),
         (b'{\n"keyframes": [\n{]\n', 3, "not JSON"),
         (b"[]", None, "the file must be an object"),
         (b"{}", None, "must have a list 'keyframes' with at least one entry"),

@@ -117,8 +117,8 @@ def test_a_wait_at_the_end_is_a_hold(read_one) -> None:
 
 def test_a_unit_that_the_text_does_not_give_is_named(read_one) -> None:
     comments = read_one(CommandReader(), "#1D100T500\nwait 700\npause 0.5\nsleep 1\n").comments
-    assert "`wait 700` is read as ms." in comments
-    assert "`pause 0.5` is read as s." in comments
+    assert "`wait 700` is read as ms; if it is not, write the unit." in comments
+    assert "`pause 0.5` is read as s; if it is not, write the unit." in comments
     assert not any("sleep" in comment for comment in comments)
 
 

@@ -94,6 +94,28 @@ def test_unknown_content_is_refused_with_the_known_formats(tmp_path: Path, figur
         import_motion(tmp_path / "nothing.json", figure)
 
 
+@pytest.mark.parametrize("format_name", [None, "bitbots", "csv", "d6a", "praat"])
+@pytest.mark.parametrize("data", [b"", b" \n"])
+def test_an_empty_file_is_called_empty(tmp_path: Path, data: bytes, format_name) -> None:
+    path = tmp_path / "nothing.bin"
+    path.write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        read_motions(path, format_name=format_name)
+    assert caught.value.reason == "is empty; write or copy it again"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['{"keyframes": [{"dura', '{"keyframes": [{"duration": 1', '{"keyframes": ['],
+)
+def test_json_that_was_cut_off_is_called_so(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "half.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_motions(path, format_name="bitbots")
+    assert str(caught.value) == f"{path}:1: ends inside of its JSON: it was cut off"
+
+
 def test_motions_with_the_same_name_get_numbers(tmp_path: Path) -> None:
     path = tmp_path / "two.ppr"
     path.write_text("d:1\nPose=a: 512\nSeq=s: a|250\nSeq=s: a|500\nSeq=s: a|50\n", "utf-8")

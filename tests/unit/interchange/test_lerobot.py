@@ -91,6 +91,12 @@ def test_what_is_no_dataset_is_refused(refusal, changes, reason) -> None:
     assert reason in refusal(LeRobotReader(), parquet(**changes)).reason
 
 
+def test_a_file_that_was_cut_off_is_recognised_and_called_so(refusal) -> None:
+    data = parquet()[:-40]
+    assert LeRobotReader().recognises(data)
+    assert refusal(LeRobotReader(), data).reason.endswith("it was cut off")
+
+
 def test_names_for_other_joints_are_refused(dataset: Path) -> None:
     dataset.write_bytes(parquet(**{"observation.state": [[1.0]] * 5}))
     with pytest.raises(InputError, match="names 2 joints, each once, but"):
