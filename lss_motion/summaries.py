@@ -359,6 +359,13 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
             f"predicted horns stay within {bounds_deg[name]:.2f} deg of the plan ({name}), by "
             f"their moves alone within {moves_deg:.2f} (tolerance {program.tolerance_deg:g} deg)"
         )
+    lines += [
+        f"falls behind: joint {name!r} by up to {bound_deg:.1f} deg, which is a fault "
+        f"(following_deg {most_deg:g}): at its limit without a break, a servo makes up for "
+        f"nothing; let it keep time (keep: time), or give its keys more time"
+        for name, bound_deg in bounds_deg.items()
+        if bound_deg > (most_deg := show.robot.joints[name].following_deg)
+    ]
     return lines
 
 

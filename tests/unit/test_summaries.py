@@ -12,7 +12,7 @@ from lss_motion.program.compile import compile_program
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
 from lss_motion.shows import Show
-from lss_motion.summaries import limit_uses, plan_lines, show_as_json
+from lss_motion.summaries import limit_uses, plan_lines, program_lines, show_as_json
 from lss_motion.trajectory.planner import plan
 from tests.joints import joint
 
@@ -186,3 +186,15 @@ def test_json_has_what_is_given_up_and_the_program_keeps_it(robot):
     assert len(span["missed"]) == 24
     assert span["missed"][0]["label"] == "m1"
     json.dumps(content)
+
+
+@pytest.mark.parametrize("keeps_time", [frozenset(), frozenset({"base"})])
+def test_a_servo_that_would_fall_behind_is_named_and_keep_time_avoids_it(robot, keeps_time):
+    frames = [Keyframe(at_s=0.15 * k, deg={"base": 30.0 * (k % 2)}) for k in range(90)]
+    sequence = Sequence(name="jaw", keyframes=tuple(frames), keeps_time=keeps_time)
+    trajectory = plan(sequence, robot)
+    program = compile_program(trajectory, robot)
+    lines = program_lines(Show(robot=robot, program=program, trajectory=trajectory))
+    behind = [line for line in lines if line.startswith("falls behind: joint 'base' by up to ")]
+    assert len(behind) == (not keeps_time)
+    assert all("(following_deg 10)" in line and "keep: time" in line for line in behind)
