@@ -61,7 +61,11 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[Entry]]:
     text = read_text(path, LOG_MAX_BYTES)
     lines = text.split("\n")[:-1]
     if not lines or lines[0] != FIRST_LINE:
-        raise InputError(f"not a log: the first line must be `{FIRST_LINE}`", path=path, line=1)
+        raise InputError(
+            f"not a log: the first line must be `{FIRST_LINE}`; `lss-play SHOW --log F` writes one",
+            path=path,
+            line=1,
+        )
     played: dict[str, Any] = {}
     entries = []
     for number, line in enumerate(lines[1:], start=2):
