@@ -62,6 +62,9 @@ _START: Final = re.compile(rb"int8_t\s+\w{1,60}\s*\[")
 _ARRAY: Final = re.compile(
     r"(?:\b(\w{1,60})\s*\[\s*\d{0,5}\s*\]\s*(?:PROGMEM\s*)?=\s*)?\{([-+\d,\s]*)\}", re.ASCII
 )
+_CUT: Final = re.compile(
+    r"\b(\w{1,60})\s*\[\s*\d{0,5}\s*\]\s*(?:PROGMEM\s*)?=\s*\{[-+\d,\s]*\Z", re.ASCII
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,10 @@ class OpenCatReader:
             name = match[1] or f"skill {number}"
             read = partial(_motion, lines, line, name, match[2])
             found.append(read_or_refused(name, read))
+        if cut := _CUT.search(text, end):
+            line += text.count("\n", end, cut.start())
+            refuse = partial(lines.refuse, line, "this array has no end: the file was cut off")
+            found.append(read_or_refused(cut[1], refuse))
         if not found:
             lines.refuse(None, "has no array of numbers, `const int8_t name[] = {…};`")
         return tuple(found)

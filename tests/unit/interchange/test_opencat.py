@@ -77,3 +77,11 @@ def test_a_wrong_array_is_refused_alone_with_its_line(old, new, reason) -> None:
 
 def test_a_text_without_arrays_is_refused(refusal) -> None:
     assert "has no array of numbers" in refusal(OpenCatReader(), "int8_t x[] = f();").reason
+
+
+def test_an_array_that_was_cut_off_is_listed_and_refused() -> None:
+    walk, hi = OpenCatReader().motions(Path("m"), (GAIT + BEHAVIOUR)[:-20].encode())
+    assert isinstance(walk, ForeignMotion)
+    assert isinstance(hi, RefusedMotion)
+    assert hi.name == "hi"
+    assert str(hi.error) == "m:7: this array has no end: the file was cut off"
