@@ -38,9 +38,7 @@ SLOW_RATE_LEAST: Final = 0.1
 RESUMES_MAX: Final = 10
 """Chosen: a line that fails more often than this in a show is broken."""
 FINDINGS_NS: Final = NS_PER_S
-FINDINGS_LEAST: Final = 5
-"""The model of a servo is judged this often, and reported as wrong if it is so as many times in a
-row. Chosen: a push, or one move that was lost, is forgotten by then."""
+"""The models of the servos are judged this often."""
 
 
 @dataclass(slots=True)
@@ -205,9 +203,6 @@ class FaultHandler:
         self.recovery: Recovery | None = None
         self._named: set[str] = set()
         """Joints that were reported as other than the robot file says."""
-        self._suspected: dict[str, int] = {}
-        self._moving: dict[str, int] = {}
-        """Readings in motion by then: a rest proves nothing anew about a model."""
         self._judged_ns = 0
         self._events: list[Event] = []
         self._session = session
@@ -262,12 +257,7 @@ class FaultHandler:
     def _judge_models(self, streamer: Streamer) -> None:
         """Report once for each joint that its servo is not what the robot file says."""
         for name, state in streamer.joint_states.items():
-            text = "" if name in self._named else state.finding
-            moving = state.disturbance.horn.moving
-            has_moved = moving > self._moving.get(name, 0)
-            self._moving[name] = moving
-            self._suspected[name] = self._suspected.get(name, 0) + has_moved if text else 0
-            if self._suspected[name] >= FINDINGS_LEAST:
+            if name not in self._named and (text := state.finding):
                 self._named.add(name)
                 self._events.append(Warned(text))
 
