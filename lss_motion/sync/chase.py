@@ -256,7 +256,8 @@ class Chase:
         self._good_ns, self._astray = observation.instant_ns, 0
         if self.state is not State.LOCKED and self.state is not State.OFF_SPEED:
             self._enter(State.LOCKED)
-        if observation.instant_ns - self._leg_ns >= LEG_NS:
+        # Not as often as legs: `advance` adds them, too, and then none would be due here.
+        if self._fitted_at is None or observation.instant_ns - self._fitted_at.instant_ns >= LEG_NS:
             self._fit()
             self._judge_speed(observation)
             self._add_due_leg(observation.instant_ns)

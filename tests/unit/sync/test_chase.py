@@ -57,6 +57,16 @@ def test_phase_and_rate_are_those_of_the_leader(rate):
     assert ("23.976" in said) is (rate == 0.999)
 
 
+def test_the_rate_is_fitted_also_where_every_frame_is_read_after_a_turn():
+    leader, luck = Chase(chase.LTC), random.Random(3)
+    for frame in range(150):
+        at_ns = 1_000_000_000 + frame * FRAME_NS + abs(round(1e9 * luck.gauss(0.0, 2e-5)))
+        for turn in range(5):
+            leader.advance(at_ns + turn * FRAME_NS // 10)
+        leader.take(Observation(at_ns, 100.0 + frame * 0.04 * 0.9999, 1), "a")
+    assert leader.rate == pytest.approx(0.9999, abs=1e-5)
+
+
 def test_a_leader_beyond_half_a_percent_is_held_and_said_and_followed_again():
     deck = Deck().run(3.0).run(4.0, rate=1.02)
     assert deck.chase.state is State.OFF_SPEED
