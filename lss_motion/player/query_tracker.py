@@ -63,6 +63,11 @@ are read with the next query or move then, and a lost move is sent again only th
 REPLY_TIMEOUT_NS: Final = 30 * NS_PER_MS
 """Time for the answer of an unknown servo: the stricter libraries wait 10 ms (FACTS.md H5), and a
 USB adapter may add its 16 ms timer."""
+SLOW_TIMEOUT_NS: Final = 100 * NS_PER_MS
+"""The answer of a servo that has turned out to be slower is waited for no longer than this. Chosen:
+a query to a servo that is silent holds up the others for so long."""
+SLOWER_RATIO: Final = 1.25
+"""A servo that is slower than was assumed gets so much of the time that it needed. Chosen."""
 MARGIN_SAMPLES: Final = 4
 """The next answer may be earlier or later than all n remembered ones by 4/n of their spread.
 Chosen: of evenly spread values, one in some hundred exceeds it."""
@@ -104,11 +109,13 @@ class ReplyLatency:
         """Whether enough answers are remembered that another one teaches little."""
         return len(self._waits_ns) >= SAMPLES_ENOUGH
 
-    def forget(self) -> None:
-        """Start anew: the servo answers differently now."""
+    def forget(self, waited_ns: int = 0) -> None:
+        """Start anew: the servo answers differently now, lately after `waited_ns`."""
         self._waits_ns.clear()
         self.is_known = False
-        self.earliest_ns, self.latest_ns = 0, REPLY_TIMEOUT_NS
+        is_slow = REPLY_TIMEOUT_NS < SLOWER_RATIO * waited_ns <= SLOW_TIMEOUT_NS
+        self.earliest_ns = 0
+        self.latest_ns = int(SLOWER_RATIO * waited_ns) if is_slow else REPLY_TIMEOUT_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +158,8 @@ class _LinkState:
     """Queries in a row that the servo may get; doubled after a complete row."""
     failures: int = 0
     quiet_until_ns: int = 0
-    overdue: set[str] = field(default_factory=set)
-    """Keywords of answers that were given up and may still come."""
+    overdue: dict[str, int] = field(default_factory=dict)
+    """Keywords of answers that were given up and may still come; when their queries arrived."""
     reply_bytes: dict[str, int] = field(default_factory=dict)
     least_bytes: int = 1
     """Shortest expected answer."""
@@ -356,7 +363,7 @@ class QueryTracker:
             given_up += flight.waiting
             self.strays += len(flight.held)
             link.quiet_until_ns = now_ns + STRAY_NS
-            link.overdue.update(query.command.keyword for query in flight.waiting)
+            link.overdue |= {query.command.keyword: query.arrival_ns for query in flight.waiting}
             link.fail()
         self.timeouts += len(given_up)
         return given_up
@@ -394,7 +401,7 @@ class QueryTracker:
         if link is not None and keyword in link.overdue:
             link.last_reply_ns = now_ns
             if flight is None:
-                link.latency.forget()
+                link.latency.forget(now_ns - link.overdue[keyword])
 
     def _accepted(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
         """Return, and stop holding, the answers that can belong to one query only."""

@@ -15,6 +15,7 @@ from lss_motion.player.query_tracker import (
     REPLY_TIMEOUT_NS,
     SAMPLES_ENOUGH,
     SAMPLES_LEAST,
+    SLOW_TIMEOUT_NS,
     STARVED_NS,
     STRAY_NS,
     WINDOW,
@@ -249,6 +250,24 @@ def test_a_servo_that_fails_is_trusted_less_and_then_no_more(tracker, line):
         assert tracker.depth(5) == depth
         now_ns += STRAY_NS
     assert not tracker.latency(5).is_known
+    assert tracker.latency(5).latest_ns == REPLY_TIMEOUT_NS
+
+
+def test_a_servo_whose_answer_comes_after_it_was_given_up_gets_more_time(tracker, line):
+    wait_ns = REPLY_TIMEOUT_NS + 10_000_000
+    tracker.send(ASK, 0)
+    tracker.expire(tracker.give_up_ns)
+    assert tracker.receive(Reply(5, "QD", 100), line.time_ns(5) + wait_ns) == []
+    now_ns = line.time_ns(5) + wait_ns + 2 * STRAY_NS
+    tracker.send(Command(5, "QT"), now_ns)
+    assert tracker.give_up_ns > now_ns + line.time_ns(5) + wait_ns
+    assert tracker.receive(Reply(5, "QT", 250), now_ns + line.time_ns(5) + wait_ns)
+
+
+def test_an_answer_from_long_ago_says_nothing_of_how_slow_a_servo_is(tracker):
+    tracker.send(ASK, 0)
+    tracker.expire(tracker.give_up_ns)
+    tracker.receive(Reply(5, "QD", 100), 2 * SLOW_TIMEOUT_NS)
     assert tracker.latency(5).latest_ns == REPLY_TIMEOUT_NS
 
 
