@@ -28,8 +28,8 @@ def test_what_nothing_names_is_not_noticed():
     assert played("another host asks every 0.1 s").noticed == ""
 
 
-def test_a_careful_run_finds_a_wrong_unit_that_a_show_does_not():
-    assert played("positions are in hundredths instead of tenths").noticed == ""
+def test_a_careful_run_finds_a_wrong_unit_that_a_show_only_warns_of():
+    assert played("positions are in hundredths instead of tenths").noticed == "a warning"
     careful = played("in a careful run: positions are in hundredths instead of tenths")
     assert (careful.noticed, careful.end) == ("an error", "halts within 1 deg")
     assert 0.2 < careful.after_s < 1.0
