@@ -261,21 +261,25 @@ class QueryTracker:
 
         Answers of prompt flights may not, since they show the latency of a servo.
         """
-        if not all(flight.is_patient for flight in self._flights.values()):
+        first_ns = self._first_end_ns()
+        if first_ns is None or first_ns + PATIENCE_NS <= now_ns:
             return None
-        ends_ns = [flight.end_ns for flight in self._flights.values()]
-        reads_ns = min(ends_ns, default=0) + PATIENCE_NS
-        return reads_ns if reads_ns > now_ns else None
+        return first_ns + PATIENCE_NS
 
     def free_ns(self) -> int | None:
         """Return when the next query may leave if the answers in flight come on time.
 
         None: that is not known. For a time at which to look again, after `earliest_ns` had none.
         """
-        if not all(flight.is_patient for flight in self._flights.values()):
+        first_ns = self._first_end_ns()
+        return None if first_ns is None else max(first_ns, self.not_before_ns())
+
+    def _first_end_ns(self) -> int | None:
+        """Return when the first flight ends, 0 without any; None: not all of them are patient."""
+        flights = self._flights.values()
+        if not all(flight.is_patient for flight in flights):
             return None
-        ends_ns = [flight.end_ns for flight in self._flights.values()]
-        return max(min(ends_ns, default=0), self.not_before_ns())
+        return min((flight.end_ns for flight in flights), default=0)
 
     def earliest_ns(self, servo_id: int, size_bytes: int, *, is_urgent: bool = False) -> int | None:
         """Return the earliest instant at which a query of `size_bytes` may begin to leave.

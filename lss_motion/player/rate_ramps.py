@@ -1,6 +1,6 @@
 """Moves that are computed at run time: while the rate of the show is not 1, or off the program.
 
-`ramp_s` limits how fast the rate may change; `spot_moves` computes the moves meanwhile. Streamed
+`ramp_s` limits how fast the rate may change; `spot_move` computes the moves meanwhile. Streamed
 joints are guided (`guide`), also at rate 1 if they are off their program.
 """
 
@@ -17,7 +17,7 @@ from lss_motion.protocol.framing import encode_move
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.serial_line import SerialLine
@@ -50,7 +50,6 @@ RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 class SpotMove(NamedTuple):
     """A move that is computed at run time: servo degrees, and the run time that it has."""
 
-    state: JointState
     aim_deg: float
     left_s: float
 
@@ -116,50 +115,44 @@ class RampPeriods:
         return min((due_ns for due_ns in dues_ns if due_ns is not None), default=math.inf)
 
 
-def spot_moves(
-    joint_states: Iterable[JointState],
-    lines: Mapping[str, SerialLine],
+def spot_move(
+    state: JointState,
+    line: SerialLine,
     *,
     now_ns: int,
     period_ns: int,
     planned_deg: Callable[[JointState, int], float],
     ends_ns: int | None,
-) -> Iterator[SpotMove]:
-    """Yield a move for every joint that is off its course, to be on it in one period.
+) -> SpotMove | None:
+    """Return a move that brings a joint onto its course in one period; None: it is there.
 
     `ends_ns` is when the course comes to rest, if it does: moves from there on reach no further.
-    The caller sends each move before it takes the next one, since it keeps the line busy. Streamed
-    joints are guided instead (`guide`).
+    Streamed joints are guided instead (`guide`).
     """
-    for state in joint_states:
-        if state.joint.drive == "streamed":
-            continue
-        is_stepped = state.joint.drive == "stepped"
-        arrival_ns = lines[state.joint.bus].arrival_ns(0, now_ns)
-        # A jump is right in the middle of the time for which it holds.
-        here_ns = arrival_ns + ns_from_s(state.lead_s)
-        ahead_ns = here_ns + (period_ns // 2 if is_stepped else period_ns)
-        aim_deg = planned_deg(state, ahead_ns)
-        position_deg, speed_deg_s = state.place(arrival_ns)
-        way_deg = aim_deg + state.disturbance.offset_deg - position_deg
-        unit_deg = 1.0 / state.limits.wire_per_deg
-        if abs(way_deg) < unit_deg and abs(speed_deg_s) < 1.0:
-            continue
-        if is_stepped:
-            yield SpotMove(state, aim_deg, 0.0)
-            continue
-        if ends_ns is not None and ahead_ns >= ends_ns:
-            travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
-            yield SpotMove(state, aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
-            continue
-        course_deg = aim_deg - planned_deg(state, here_ns)
-        way_deg = course_deg + _closing_deg(state, way_deg - course_deg, period_ns)
+    is_stepped = state.joint.drive == "stepped"
+    arrival_ns = line.arrival_ns(0, now_ns)
+    # A jump is right in the middle of the time for which it holds.
+    here_ns = arrival_ns + ns_from_s(state.lead_s)
+    ahead_ns = here_ns + (period_ns // 2 if is_stepped else period_ns)
+    aim_deg = planned_deg(state, ahead_ns)
+    position_deg, speed_deg_s = state.place(arrival_ns)
+    way_deg = aim_deg + state.disturbance.offset_deg - position_deg
+    unit_deg = 1.0 / state.limits.wire_per_deg
+    if abs(way_deg) < unit_deg and abs(speed_deg_s) < 1.0:
+        return None
+    if is_stepped:
+        return SpotMove(aim_deg, 0.0)
+    if ends_ns is not None and ahead_ns >= ends_ns:
         travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
-        beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
-        beyond_deg += 0.5 * travel_deg_s * travel_deg_s / state.limits.ramp_deg_s2
-        way_deg += math.copysign(beyond_deg, way_deg)
-        aim_deg = position_deg + way_deg - state.disturbance.offset_deg
-        yield SpotMove(state, aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
+        return SpotMove(aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
+    course_deg = aim_deg - planned_deg(state, here_ns)
+    way_deg = course_deg + _closing_deg(state, way_deg - course_deg, period_ns)
+    travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
+    beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
+    beyond_deg += 0.5 * travel_deg_s * travel_deg_s / state.limits.ramp_deg_s2
+    way_deg += math.copysign(beyond_deg, way_deg)
+    aim_deg = position_deg + way_deg - state.disturbance.offset_deg
+    return SpotMove(aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
 
 
 def _closing_deg(state: JointState, off_deg: float, period_ns: int) -> float:
@@ -196,8 +189,7 @@ def guide(
     """
     profile, limits = state.profile, state.limits
     assert isinstance(profile, FilterProfile), "only streamed joints are led"
-    here_wire = round(state.place(now_ns)[0] * limits.wire_per_deg)
-    size = len(encode_move(state.joint.servo_id, here_wire, None))
+    size = _target_bytes(state, state.place(now_ns)[0])
     arrival_s = s_from_ns(line.arrival_ns(size, now_ns))
     step = profile.acts_on(arrival_s)
     steps = max(1, round(s_from_ns(period_ns) / profile.period_s))
@@ -217,8 +209,7 @@ def guide(
         target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
     state.send(line, target_deg - state.disturbance.offset_deg, 0.0, now_ns)
     if not is_at_rest:
-        next_wire = round((target_deg + to_deg - from_deg) * limits.wire_per_deg)
-        size = len(encode_move(state.joint.servo_id, next_wire, None))
+        size = _target_bytes(state, target_deg + to_deg - from_deg)
         last_ns = state.last_arrival_ns or ns_from_s(arrival_s)
         next_ns = last_ns + steps * ns_from_s(profile.period_s)
         state.guide_at(next_ns - line.time_ns(size))
@@ -230,12 +221,17 @@ def first_guide_ns(state: JointState, line: SerialLine, now_ns: int) -> int:
     assert isinstance(profile, FilterProfile), "only streamed joints are led"
     if state.last_arrival_ns is None:
         return now_ns
-    here_wire = round(state.place(now_ns)[0] * state.limits.wire_per_deg)
-    time_ns = line.time_ns(len(encode_move(state.joint.servo_id, here_wire, None)))
+    time_ns = line.time_ns(_target_bytes(state, state.place(now_ns)[0]))
     since_ns = now_ns + time_ns - state.last_arrival_ns - ns_from_s(ROUNDING_S)
     steps = math.ceil(since_ns / ns_from_s(profile.period_s))
     next_ns = state.last_arrival_ns + steps * ns_from_s(profile.period_s)
     return max(next_ns - time_ns, now_ns)
+
+
+def _target_bytes(state: JointState, target_deg: float) -> int:
+    """Return how many bytes a guiding target has."""
+    wire = round(target_deg * state.limits.wire_per_deg)
+    return len(encode_move(state.joint.servo_id, wire, None))
 
 
 def is_off_course(

@@ -44,7 +44,7 @@ from lss_motion.player.rate_ramps import (
     guide,
     is_off_course,
     ramp_s,
-    spot_moves,
+    spot_move,
 )
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.program.line import longest_move
@@ -672,16 +672,17 @@ class Streamer:
             if not spot.period_ns:
                 self._send_rest(spot, now_ns)
                 continue
-            for _, aim_deg, left_s in spot_moves(
-                [state],
-                self._lines,
+            move = spot_move(
+                state,
+                line,
                 now_ns=now_ns,
                 period_ns=spot.period_ns,
                 planned_deg=self.planned_deg,
                 ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
-            ):
+            )
+            if move is not None:
                 self.statistics.sent(spot.late_ns)
-                state.send(line, aim_deg, left_s, now_ns)
+                state.send(line, move.aim_deg, move.left_s, now_ns)
 
     # ---- judging
 
