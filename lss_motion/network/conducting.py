@@ -23,7 +23,7 @@ from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director
 from lss_motion.stage.model import Kind, Signal
-from lss_motion.stage.records import Records, state_word
+from lss_motion.stage.records import Records, must_restart, renewed, state_word
 from lss_motion.stage.timecode import READY_MAX_S
 from lss_motion.stage.triggers import JUMP_S
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
@@ -165,14 +165,12 @@ class Conducting:
             return "busy", ""
         for name in ("figures", "conductor", "network", "sync", "log", "retry"):
             if getattr(self.stage, name) != getattr(stage, name):
-                text = f"new files; the stage begins anew: another value of {name}"
-                return "must_restart", text
+                return must_restart(f"another value of {name}")
         changed = {name for name in offers if offers[name] != self._offers.get(name)}
         self.stage, self._offers = stage, dict(offers)
         self.director.renew(stage, infos_of(offers), changed)
         self.records.renew(stage)
-        shows = f"; changed: {', '.join(sorted(changed))}" if changed else ""
-        return "renewed", f"new files are played from now on{shows}"
+        return renewed(changed)
 
     def note_counts(self) -> None:
         """Keep what was counted since the last time."""

@@ -26,6 +26,7 @@ from lss_motion.remote.link import Kind
 from lss_motion.remote.player_end import LossRule
 from lss_motion.stage.job import StageOutcome, StageSteering
 from lss_motion.stage.log import StageLog
+from lss_motion.stage.records import must_restart
 from lss_motion.stage.timecode import OwnSource, StageTimecode, spec_of
 
 if TYPE_CHECKING:
@@ -201,7 +202,7 @@ class ConductorSteering(StageSteering):
         assert self._conducting is not None
         newer: ConductorJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
         if newer.robot != self._job.robot:
-            kind, text = "must_restart", "new files; the stage begins anew: another robot"
+            kind, text = must_restart("another robot")
         else:
             kind, text = self._conducting.renew(newer.stage, newer.offers)
         self._conducting.records.note(kind, text)

@@ -23,6 +23,7 @@ from lss_motion.remote.player_end import LossRule, Steering
 from lss_motion.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.records import must_restart
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage.sending import opened
 from lss_motion.stage.timecode import OwnSource, spec_of
@@ -211,7 +212,7 @@ class StageSteering(Steering):
         assert self._own is not None
         if len(job) > RENEW_MAX_BYTES:
             reason = f"they have {len(job) / 1e6:.1f} MB, too much to be read beside moves"
-            self._own.record("must_restart", f"new files; the stage begins anew: {reason}")
+            self._own.record(*must_restart(reason))
             return
         newer: StageJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
         kind, text = self._own.renew(newer.planned, player)

@@ -13,7 +13,7 @@ from lss_motion.stage.duty import Reason
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from datetime import datetime
 
     from lss_motion.stage.director import Director
@@ -25,6 +25,17 @@ REFUSED_NS: Final = 60 * NS_PER_S
 """Equal refusals are counted, and noted this often."""
 REFUSALS_MAX: Final = 1000
 """Different refusals that are counted at a time."""
+
+
+def must_restart(reason: str) -> tuple[str, str]:
+    """Return kind and text of the record of newer files for which the stage must begin anew."""
+    return "must_restart", f"new files; the stage begins anew: {reason}"
+
+
+def renewed(changed: Iterable[str]) -> tuple[str, str]:
+    """Return kind and text of the record of newer files with which the stage goes on."""
+    names = ", ".join(sorted(changed))
+    return "renewed", "new files are played from now on" + (f"; changed: {names}" if names else "")
 
 
 @dataclass(slots=True)

@@ -29,7 +29,7 @@ from lss_motion.stage.log import Ring
 from lss_motion.stage.model import Kind, Signal, Sync
 from lss_motion.stage.orders import ShowInfo
 from lss_motion.stage.playing import Both, Playing
-from lss_motion.stage.records import Records, state_word
+from lss_motion.stage.records import Records, must_restart, renewed, state_word
 from lss_motion.stage.sending import Sending
 from lss_motion.stage.timecode import StageTimecode
 from lss_motion.stage_run import perform_stage
@@ -218,20 +218,18 @@ class StageRun:
             )
             if before != after
         ]
-        begins = "new files; the stage begins anew"
         if differs:
-            return "must_restart", f"{begins}: another value of {', '.join(differs)}"
+            return must_restart(f"another value of {', '.join(differs)}")
         try:
             if isinstance(player, StagePlayer):
                 player.repertoire.renew(programs)
         except InputError as refused:
-            return "must_restart", f"{begins}: {refused.reason}"
+            return must_restart(refused.reason)
         changed = {name for name in programs if programs[name] != self.programs.get(name)}
         self.stage, self.programs = stage, programs
         director.renew(stage, infos_of(programs), changed)
         self._records.renew(stage)
-        shows = f"; changed: {', '.join(sorted(changed))}" if changed else ""
-        return "renewed", f"new files are played from now on{shows}"
+        return renewed(changed)
 
     # ---- one run after the other
 
