@@ -7,6 +7,7 @@ line allows. Positions and targets go to the joint's own `JointState`, health to
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
@@ -102,6 +103,8 @@ class PollScheduler:
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
+        self._silent: dict[str, Counter[int]] = {bus: Counter() for bus in lines}
+        """Timeouts by servo id since the last reply on a bus."""
         self.watched = SensorWatch(())
         """Sensors that are polled although no show waits for them."""
 
@@ -146,6 +149,7 @@ class PollScheduler:
                 self._note_timeout(bus, expired, now_ns)
                 self._choice.touch(bus)
                 self._choice.note_timeout(bus)
+                self._note_silence(bus, expired.command.servo_id, now_ns)
             if self._is_starved(bus, now_ns):
                 self._poll_overdue(bus, now_ns)
             if now_ns < self._rest_until_ns:
@@ -288,6 +292,7 @@ class PollScheduler:
     ) -> None:
         tracker = self._trackers[bus]
         accepted = tracker.receive(reply, now_ns)
+        self._silent[bus].clear()
         state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
         if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
             self.health.answered(state)
@@ -428,3 +433,14 @@ class PollScheduler:
                 self.watch.note_sign(state, now_ns)
                 if state.in_doubt and not was_held:  # Its power may be that of the others.
                     self.doubt_all([bus])
+
+    def _note_silence(self, bus: str, servo_id: int, now_ns: int) -> None:
+        """Hold all servos of a bus back on which several have left queries unanswered in a row.
+
+        Their common power may have failed: others than the one that was polled have restarted, too.
+        """
+        silent = self._silent[bus]
+        silent[servo_id] += 1
+        if silent.total() - max(silent.values()) >= HOLD_SIGNS - 1:
+            for state in self._by_bus[bus]:
+                self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)

@@ -272,7 +272,7 @@ class Preflight:
             yield self.twins
         if self.twins is not None and self.twins.shared:
             return
-        if items := [*self._asked_again(self._refusals()), *self._unplaced()]:
+        if items := [*self._asked_again(self._refusals()), *self._unanswered()]:
             again = self._dialogue(items)
             yield again
             self.answers |= again.answers
@@ -300,15 +300,21 @@ class Preflight:
         joints = [joint for joint in self._joints if joint.name in present]
         return checks.refusals(joints, self.answers, self.stored, self._robot, self._show)
 
-    def _unplaced(self) -> list[Item]:
-        """Return the query for its angle to every servo that answered, but not with an angle."""
+    def _unanswered(self) -> list[Item]:
+        """Return the queries for angle and frame that a servo left open which answered others.
+
+        It may have restarted in between, which takes longer than all tries of one query.
+        """
         present = standing_deg(self._joints, self.answers)
         answering = {address[:2] for address in self.answers}
-        return [
-            query(joint, "QD")
-            for joint in self._joints
-            if joint.name not in present and (joint.bus, joint.servo_id) in answering
+        joints = [one for one in self._joints if (one.bus, one.servo_id) in answering]
+        angles = [query(joint, "QD") for joint in joints if joint.name not in present]
+        frames = [
+            item
+            for item in checks.frame_queries(joints)
+            if (item.bus, item.command.servo_id, item.command.keyword) not in self.answers
         ]
+        return angles + frames
 
     def _asked_again(self, doubtful: Iterable[Refusal]) -> list[Item]:
         """Return the queries behind refusals once more; several answers must agree."""

@@ -84,6 +84,8 @@ FOUND_MIXED = (
     40565,  # The same while the rate of the show changed.
     45173,  # A joint in EM0 restarted, and was read too late.
     61022,  # Each answer came after it was given up, so joints were held back to the end.
+    65799,  # All servos of a bus restarted while one that moved was not polled.
+    68565,  # A servo restarted while it was asked for its gyre, which was never answered.
     60333,  # A lag turned out to be larger: three moves of a joint left at once.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""
