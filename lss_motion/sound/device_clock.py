@@ -29,6 +29,9 @@ a device at 0.91 of its rate."""
 SKIP_S: Final = 0.005
 SKIP_POINTS: Final = 2
 """So many points in a row that far from the fit: frames were skipped."""
+SETTLED_S: Final = 1.0
+"""What a driver states for its first blocks may be off by a block (measured: 21 ms of JACK); the
+fit has left such statements after this time: three points, and the one that they are seen in."""
 
 
 class DeviceClock:
@@ -76,6 +79,10 @@ class DeviceClock:
     @property
     def is_known(self) -> bool:
         return self._origin_ns is not None
+
+    def is_settled(self, frame: float) -> bool:
+        """Return whether the first statements of the driver count no more at `frame`."""
+        return bool(self._points) and frame >= SETTLED_S * self._rate_hz
 
     @property
     def ns_per_frame(self) -> float:

@@ -292,7 +292,7 @@ class LtcSender:
         last_ns = first_ns + count * self._clock.ns_per_frame
         self._frame += count
         leg = self._show.leg(first_ns)
-        if leg is None or self._show.is_ended:
+        if leg is None or self._show.is_ended or not self._clock.is_settled(self._frame):
             out.fill(0.0)
             return
         rate = self._spec.rate

@@ -146,7 +146,7 @@ def test_ltc_that_is_sent_is_read_by_libltc(server):
     with sound_recorder.Recorder() as recorder, TimecodeOut(read_send("ltc")) as out:
         out.turn(show, 0)
         recorder.connect(10.0)
-        time.sleep(3.0)
+        time.sleep(4.0)
         at_ns, blocks = recorder.samples()
     sound = np.concatenate(blocks)
     read = libltc.read_by_libltc(sound, FPS_25, sound_recorder.RATE_HZ)

@@ -35,6 +35,12 @@ def test_the_first_seconds_are_right_although_the_slope_is_not_known():
     assert clock.heard_ns(frame) == pytest.approx(heard_ns, abs=500_000)
 
 
+def test_the_first_second_is_not_settled():
+    for seconds, is_settled in ((0.9, False), (1.1, True)):
+        clock, frame, _ = driven(seconds)
+        assert clock.is_settled(frame) is is_settled
+
+
 def test_skipped_frames_are_noticed_and_the_fit_begins_anew():
     clock, frame, heard_ns = driven(20.0, skip_at_s=12.0, jitter_s=0.0005)
     assert clock.skips == 1
