@@ -26,6 +26,7 @@ from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.settings_watch import Probe
 from lss_motion.player.streamer import Streamer
 from lss_motion.player.transactions import Dialogue
+from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.verify import profiles
 from lss_motion.protocol.framing import Command, encode
 from lss_motion.robot.model import HALF_TURN_DEG
@@ -309,14 +310,18 @@ class Session:
         return self.start_of(self.program, self.start_s)
 
     def start_of(self, program: Program, start_s: float | None) -> dict[str, float]:
-        """Return the joint angles of a program at `start_s`, or at its beginning."""
+        """Return the joint angles of the horns at `start_s` of a program, or at its beginning.
+
+        Its profiles are early by the lead of each joint (`Streamer.planned_deg`).
+        """
         if start_s is None:
             return dict(program.start_deg)
-        start_s = program.within(start_s)
-        return {
-            name: self.robot.joints[name].joint_deg(plan.at(start_s)[0])
-            for name, plan in profiles(program, self.robot).items()
-        }
+        pose_deg = {}
+        for name, plan in profiles(program, self.robot).items():
+            joint = self.robot.joints[name]
+            plan_s = program.within(start_s - profile_lead_s(joint))
+            pose_deg[name] = joint.joint_deg(plan.at(plan_s)[0])
+        return pose_deg
 
     def pose_deg(self, show: Streamer | None, now_ns: int) -> dict[str, float]:
         """Return the angles of the driven joints from which the show begins, or goes on."""

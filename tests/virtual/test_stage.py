@@ -179,7 +179,7 @@ def test_each_way_to_start_a_show_is_no_step():
     assert result.error is None
     assert result.report.totals["wave"].plays == 3
     assert max(one.late_max_us for one in summaries) < 5000
-    assert all(j.error_max_deg < 2.5 for one in summaries for j in one.joints.values())
+    assert all(j.error_max_deg < 1.5 for one in summaries for j in one.joints.values())
     assert set(summaries[-1].joints) == {"j0", "j3"}
 
 
