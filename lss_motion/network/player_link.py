@@ -1,7 +1,9 @@
 """The player of a figure: a process of its own, steered through its link (`remote`).
 
-It is started when the figure is armed, moves to the start of the show and stands there until a leg
-comes (`player.following`). When this process dies or falls silent, the player brakes and holds.
+It gets its plan when the figure is armed, moves to the start of the show and stands there until a
+leg comes (`player.following`). It is started before, when the one before it ends, so that no show
+waits until Python has imported it. When this process dies or falls silent, the player brakes and
+holds.
 """
 
 from __future__ import annotations
@@ -23,12 +25,13 @@ from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.player_end import LossRule
-from lss_motion.remote.process import packed, start_process
+from lss_motion.remote.process import begin_process, give_job, packed
 from lss_motion.remote.telemetry import Telemetry
 from lss_motion.robot.on_fault import Cause
 from lss_motion.runtime.sound_choice import SoundChoice
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable
 
     from lss_motion.robot.model import Robot
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
 BACKSTOP_S: Final = 1.0
 """Without legs for so much longer than the freewheel, the player holds by itself: its figure tells
 it to hold before that."""
+PLAYER_MODULES: Final = ("lss_motion.remote.job", "lss_motion.perform", "lss_motion.sim.bus")
+"""What a player imports before it gets its job: 1.5 s of a core here, of which 0.1 s are left."""
 CLOSE_S: Final = 10.0
 """A player that was stopped has ended by then, or it is told to end at once."""
 ENDING: Final = frozenset({Phase.STOP.value, Phase.RESTORE.value, Phase.DONE.value})
@@ -64,6 +69,8 @@ class PlayerLink:
         )
         self._process: subprocess.Popen[bytes] | None = None
         self._link: Link | None = None
+        self._spare: tuple[subprocess.Popen[bytes], socket.socket] | None = None
+        """The next player, which waits for its job."""
         self._view = PlayerView()
         self._phase = ""
         self._show_s: float | None = None
@@ -74,7 +81,7 @@ class PlayerLink:
         self._number = 0
         self._jobs: dict[str, bytes] = {}
         """The packed job of the plan that was prepared last, by its hash."""
-        self._is_stopped = False
+        self._is_stopped = self._is_closing = False
         self._leaving: list[subprocess.Popen[bytes]] = []
         """Processes that end by themselves."""
         self.reports: list[dict[str, Any]] = []
@@ -111,13 +118,28 @@ class PlayerLink:
         if job is None:
             self._view = PlayerView("failed", None, "the plan is not prepared", cause="error")
             return
-        self._process, end = start_process(job, options={"start_s": start_s or None})
+        self._process, end = self._take_spare()
+        give_job(end, job, options={"start_s": start_s or None})
         self._link = Link(end)
         self._link.set_blocking(is_blocking=False)
         self._phase, self._show_s, self._first_ns = "", None, None
         self._cause, self._hottest_c, self._late_us = "", None, None
         self._is_stopped = False
         self._view = PlayerView("starting")
+
+    def _take_spare(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
+        """Return the player that waits, or a new one where there is none."""
+        spare, self._spare = self._spare, None
+        if spare is not None and spare[0].poll() is not None:
+            spare[1].close()
+            spare = None
+        return spare or begin_process(modules=PLAYER_MODULES)
+
+    def _keep_spare(self) -> None:
+        """Start the next player as soon as the present one is about to end."""
+        is_free = self._link is None or self._is_stopped
+        if is_free and self._spare is None and self._jobs and not self._is_closing:
+            self._spare = begin_process(modules=PLAYER_MODULES)
 
     def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
         """Tell it where the show is."""
@@ -132,6 +154,7 @@ class PlayerLink:
 
     def view(self, now_ns: int) -> PlayerView:
         """Take what it sent, and return its state."""
+        self._keep_spare()
         link = self._link
         if link is None:
             return self._view
@@ -214,6 +237,11 @@ class PlayerLink:
 
     def close(self) -> None:
         """Stop it, and wait until it has ended."""
+        self._is_closing = True
+        if self._spare is not None:
+            self._spare[1].close()  # It ends by that.
+            self._leaving.append(self._spare[0])
+            self._spare = None
         if self._link is not None:
             self.stop()
             if not self._wait() and self._link is not None:

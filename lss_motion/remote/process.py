@@ -1,13 +1,15 @@
-"""The process that plays: `python -m lss_motion.remote.process FD [STOP_FD]`.
+"""The process that plays: `python -m lss_motion.remote.process FD [STOP_FD] [MODULE …]`.
 
-It reads one job from standard input, and how it is played, plays it, and sends the result to the
-socket `FD`. When the other end is closed it does what the rule of the job says, by default it stops
-and makes the robot safe: the socket of a killed process is closed by the system. Stops may also
-come from the socket `STOP_FD`.
+It imports the modules, and waits for one job: a file with it, and with how it is played, is passed
+over the socket `FD`. It plays the job and sends the result to the same socket. When the other end
+is closed it does what the rule of the job says, by default it stops and makes the robot safe: the
+socket of a killed process is closed by the system. Stops may also come from the socket `STOP_FD`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
 import pickle
 import signal
@@ -15,13 +17,15 @@ import socket
 import subprocess
 import sys
 import tempfile
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from lss_motion.remote.link import Kind, Link
 from lss_motion.remote.operator_end import Operator
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class Task(Protocol):
@@ -47,41 +51,67 @@ def packed(job: Task) -> bytes:
     return pickle.dumps(job)
 
 
-def start_process(
-    job: bytes, stop_end: socket.socket | None = None, **changes: object
+def begin_process(
+    stop_end: socket.socket | None = None, modules: Sequence[str] = ()
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start the process that plays a `packed` job; return it and this end of its link.
+    """Start a process that waits for its job (`give_job`); return it and this end of its link.
 
-    `changes` replace fields of the job, its `options` one by one. Stops may also be sent to the
-    other end of `stop_end`, which stays open here.
+    It imports `modules` meanwhile. It ends when its link is closed.
     """
     own, other = socket.socketpair()
     top = str(Path(__file__).resolve().parents[2])
     paths = [top, *filter(None, [os.environ.get("PYTHONPATH")])]
     filenos = [end.fileno() for end in (other, stop_end) if end is not None]
-    with ExitStack() as stack:
-        stack.enter_context(other)
-        job_file = stack.enter_context(tempfile.TemporaryFile())
-        job_file.write(job)
-        pickle.dump(changes, job_file)
-        job_file.seek(0)
+    with other:
         process = subprocess.Popen(  # noqa: S603  (our own program)
             # -P: no module of the current folder is imported in place of an installed one.
-            [sys.executable, "-P", "-m", "lss_motion.remote.process", *map(str, filenos)],
+            [sys.executable, "-P", "-m", "lss_motion.remote.process", *map(str, filenos), *modules],
             pass_fds=filenos,
-            stdin=job_file,
+            stdin=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
             start_new_session=True,  # Ctrl-C reaches this process only.
         )
     return process, own
 
 
+def give_job(own: socket.socket, job: bytes, **changes: object) -> None:
+    """Let a process that waits play a `packed` job; if it has ended, its link shows that.
+
+    `changes` replace fields of the job, its `options` one by one.
+    """
+    with tempfile.TemporaryFile() as job_file:
+        job_file.write(job)
+        pickle.dump(changes, job_file)
+        job_file.seek(0)
+        with contextlib.suppress(OSError):
+            socket.send_fds(own, [b"j"], [job_file.fileno()])
+
+
+def start_process(
+    job: bytes, stop_end: socket.socket | None = None, **changes: object
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """Start the process that plays a `packed` job; return it and this end of its link.
+
+    The `changes`: see `give_job`. Stops may also be sent to the other end of `stop_end`, which
+    stays open here.
+    """
+    process, own = begin_process(stop_end)
+    give_job(own, job, **changes)
+    return process, own
+
+
 def main() -> int:
-    """Play the job on standard input, steered through the socket; return an exit code."""
+    """Play the job that comes over the socket, steered through it; return an exit code."""
     parent = os.getppid()
-    links = [Link(socket.socket(fileno=int(number))) for number in sys.argv[1:]]
+    words = sys.argv[1:]
+    ends = [socket.socket(fileno=int(word)) for word in words if word.isdigit()]
+    for word in words[len(ends) :]:
+        importlib.import_module(word)
+    job = _job(ends[0])
+    if job is None:
+        return 0
+    links = [Link(end) for end in ends]
     link, stops = links[0], links[1] if len(links) > 1 else None
-    job = _job()
     for one in links:
         one.set_blocking(is_blocking=False)
     operator = Operator(link, stops=stops, is_orphan=lambda: os.getppid() != parent)
@@ -96,11 +126,15 @@ def main() -> int:
     return 0
 
 
-def _job() -> Task:
-    """Return the job on standard input, with the changes that follow it there."""
-    # It comes from the process that started this one.
-    job: Task = pickle.load(sys.stdin.buffer)  # noqa: S301
-    changes: dict[str, Any] = pickle.load(sys.stdin.buffer)  # noqa: S301
+def _job(end: socket.socket) -> Task | None:
+    """Wait for the job, and return it with its changes; None: the link was closed before."""
+    _, filenos, _, _ = socket.recv_fds(end, 1, 1)
+    if not filenos:
+        return None
+    with open(filenos[0], "rb") as file:  # noqa: PTH123  (a file that was passed)
+        # It comes from the process that started this one.
+        job: Task = pickle.load(file)  # noqa: S301
+        changes: dict[str, Any] = pickle.load(file)  # noqa: S301
     if not isinstance(job, Changeable):  # A robot without a show has nothing to change.
         return job
     options = {**job.options, **changes.pop("options", {})}

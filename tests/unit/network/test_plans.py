@@ -4,6 +4,7 @@ import dataclasses
 import pickle
 import socket
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from lss_motion.errors import InputError
 from lss_motion.network import plans
 from lss_motion.network.messages import hash_of, packed
 from lss_motion.network.player_link import PlayerLink
+from lss_motion.remote.process import begin_process
 
 SEQUENCES = Path(__file__).parents[3] / "sequences"
 DUET = """\
@@ -148,19 +150,41 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
     assert (link.view(0).phase, link.view(0).text) == ("failed", "the plan is not prepared")
     assert link.prepare(b"\xff").startswith("the plan is no text")
     assert link.prepare(made.contents[name]) == ""
-    started = []
+    begun, given = [], []
 
-    own, other = socket.socketpair()
+    def begin(modules):
+        own, other = socket.socketpair()
+        begun.append((SimpleNamespace(poll=lambda: None, wait=lambda _s: 0), own, other))
+        return begun[-1][:2]
 
-    def start(job, **changes):
-        started.append((job, changes))
-        return None, own
-
-    monkeypatch.setattr("lss_motion.network.player_link.start_process", start)
-    monkeypatch.setattr("lss_motion.network.player_link.read_plan", None)  # Not in the host's turn.
+    module = "lss_motion.network.player_link"
+    monkeypatch.setattr(f"{module}.begin_process", begin)
+    monkeypatch.setattr(
+        f"{module}.give_job", lambda end, job, **changes: given.append((end, job, changes))
+    )
+    monkeypatch.setattr(f"{module}.read_plan", None)  # Not in the host's turn.
+    link.view(0)
+    assert (len(begun), given) == (1, [])  # It waits for its job.
     link.arm(name, 4.0)
-    ((job, changes),) = started
+    ((end, job, changes),) = given
+    assert end is begun[0][1]
     assert len(pickle.loads(job).program.moves) > 20
     assert changes == {"options": {"start_s": 4.0}}
+    link.view(0)
+    assert len(begun) == 1  # None while a player moves servos.
+    link.stop()
+    link.view(0)
+    assert len(begun) == 2
+    begun[0][2].close()  # It has ended.
+    link.view(0)
+    link.view(0)
+    assert len(begun) == 2
+    link.close()
+    assert begun[1][1].fileno() == -1  # By which the one that waits ends, too.
+    begun[1][2].close()
+
+
+def test_a_process_that_waits_for_its_job_ends_with_its_link():
+    process, own = begin_process()
     own.close()
-    other.close()
+    assert process.wait(60) == 0
