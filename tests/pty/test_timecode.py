@@ -142,6 +142,21 @@ def test_ltc_of_another_program_is_followed_from_a_sound_input(server, tmp_path)
 @needs_jack
 @needs_libltc
 def test_ltc_that_is_sent_is_read_by_libltc(server):
+    for _ in range(3):
+        labels, shown_s, dropouts = sent_ltc()
+        if not dropouts:  # Of the device, on a busy machine: what was not played cannot be read.
+            break
+    frames = np.array([label.frame(FPS_25) for label in labels])
+    assert len(frames) > 40
+    if dropouts:
+        assert (np.diff(frames) > 0).all()
+        return
+    assert (np.diff(frames) == 1).all()
+    assert np.abs(shown_s - (frames + 1) / 25.0).max() < 0.01
+
+
+def sent_ltc():
+    """Labels that libltc reads, when each ends in seconds of the show, and dropouts."""
     show = ShowStub(time.monotonic_ns() + 500_000_000)
     with sound_recorder.Recorder() as recorder, TimecodeOut(read_send("ltc")) as out:
         out.turn(show, 0)
@@ -151,17 +166,12 @@ def test_ltc_that_is_sent_is_read_by_libltc(server):
     sound = np.concatenate(blocks)
     read = libltc.read_by_libltc(sound, FPS_25, sound_recorder.RATE_HZ)
     read = [frame for frame in read if frame[0].hours == 0][1:]
-    assert len(read) > 40
-    frames = [label.frame(FPS_25) for label, *_ in read]
-    assert frames == list(range(frames[0], frames[0] + len(frames)))
     size = len(blocks[0])
     ends_ns = [
         at_ns[min(end // size, len(at_ns) - 1)] + end % size / 48e3 * 1e9 for *_, end in read
     ]
-    shown_s = [(end_ns - show.start_ns) / 1e9 for end_ns in ends_ns]
-    off_s = np.array(shown_s) - (np.array(frames) + 1) / 25.0
-    if not recorder.xruns:
-        assert np.abs(off_s).max() < 0.01
+    shown_s = (np.array(ends_ns) - show.start_ns) / 1e9
+    return [label for label, *_ in read], shown_s, recorder.xruns
 
 
 class ShowStub:
