@@ -7,7 +7,7 @@ changed so that it keeps the speed of the joint, or refused where it would leave
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
@@ -175,7 +175,7 @@ def _within_speed(command: Command, joint: Joint, way_deg: float) -> Verdict:
         kept["T"] = max(given.get("T", 0), least_ms)
     if "SD" in given:
         kept["SD"] = min(given["SD"], most)
-    changed = replace(command, modifiers=tuple(kept.items()))
+    changed = command._replace(modifiers=tuple(kept.items()))
     notes: tuple[str, ...] = ()
     if changed != command:
         was = "no T and no SD" if not {"T", "SD"} & given.keys() else "more speed"

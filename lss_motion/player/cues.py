@@ -150,6 +150,8 @@ class SensorWatch:
 
     def query(self, bus: str, now_ns: int) -> Command | None:
         """Return the query that is overdue for longest on `bus`; None: none is due."""
+        if not self._sensors:  # Most robots have none, and this is called for every query.
+            return None
         due = [
             (self._polled_ns.get(place, -WATCH_PERIOD_NS) + WATCH_PERIOD_NS, place)
             for place in self._sensors

@@ -185,10 +185,12 @@ class HornEstimator:
     @property
     def early_s(self) -> float:
         """By how much commands are sent earlier: the lag, or 0 if it is small or no lag."""
-        unsure_s = math.sqrt(max(self._cov[-1][-1], 0.0))
-        clear = min(max(0.0, abs(self.lag_s) / (DEAD_S + unsure_s) - 1.0), 1.0)
+        lag_s, unsure_s = self.lag_s, math.sqrt(max(self._cov[-1][-1], 0.0))
+        clear = min(max(0.0, abs(lag_s) / (DEAD_S + unsure_s) - 1.0), 1.0)
+        if clear == 0.0:
+            return 0.0
         sure = (self.explained_ratio - EXPLAINED_LEAST) / (EXPLAINED_SURE - EXPLAINED_LEAST)
-        return self.lag_s * clear * min(max(0.0, sure), 1.0)
+        return lag_s * clear * min(max(0.0, sure), 1.0)
 
     @property
     def explained_ratio(self) -> float:
@@ -273,7 +275,7 @@ class HornEstimator:
         basis = _basis(lagged_deg, way, speed_deg_s)
         spread = [sum(map(operator.mul, row, basis)) for row in self._cov]
         known = sum(map(operator.mul, spread, basis))
-        load_deg = self.load_deg(lagged_deg, way)
+        load_deg: float = sum(map(operator.mul, self._mean, basis[:-1]))
         surprise_deg = lagged_deg - measured_deg - load_deg
         timing_s2 = max(self._timing_deg2 / self._timing_speed2, TIMING_LEAST_S**2)
         timing_deg2 = timing_s2 * recent_deg_s * recent_deg_s

@@ -325,7 +325,7 @@ class Preflight:
                 item = query(refusal.joint, keyword)
                 item = replace(item, agreeing=AGREEING) if is_disturbed else item
                 if refusal.is_stored:
-                    item = replace(item, command=replace(item.command, value=1))
+                    item = replace(item, command=item.command._replace(value=1))
                 items.append(item)
         return list(dict.fromkeys(items))
 

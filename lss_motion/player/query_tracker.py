@@ -13,9 +13,9 @@ many answers came as queries were sent. If not, one was lost or came twice, and 
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_MS
@@ -118,8 +118,7 @@ class ReplyLatency:
         self.latest_ns = int(SLOWER_RATIO * waited_ns) if is_slow else REPLY_TIMEOUT_NS
 
 
-@dataclass(frozen=True, slots=True)
-class PendingQuery:
+class PendingQuery(NamedTuple):
     """A query in flight. The servo has received it completely at `arrival_ns`."""
 
     command: Command
@@ -196,7 +195,7 @@ class QueryTracker:
         self.timeouts = 0
         self.strays = 0
         self._flights: dict[int, _Flight] = {}
-        self._links: dict[int, _LinkState] = {}
+        self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
 
     def is_waiting(self, servo_id: int) -> bool:
@@ -218,7 +217,7 @@ class QueryTracker:
 
     def quiet_until_ns(self, servo_id: int) -> int:
         """Return until when a servo is not polled after a timeout."""
-        return self._known(servo_id).quiet_until_ns
+        return self._links[servo_id].quiet_until_ns
 
     def is_starved(self, now_ns: int) -> bool:
         """Return whether no query was sent for too long."""
@@ -226,14 +225,14 @@ class QueryTracker:
 
     def last_sent_ns(self, servo_id: int) -> int:
         """Return when the last query to a servo was sent; 0: never."""
-        return self._known(servo_id).last_sent_ns
+        return self._links[servo_id].last_sent_ns
 
     def last_reply_ns(self, servo_id: int) -> int | None:
         """Return when a servo last answered, accepted or too late; None: never."""
-        return self._known(servo_id).last_reply_ns
+        return self._links[servo_id].last_reply_ns
 
     def latency(self, servo_id: int) -> ReplyLatency:
-        return self._known(servo_id).latency
+        return self._links[servo_id].latency
 
     @property
     def shortest_latency_ns(self) -> int | None:
@@ -243,18 +242,18 @@ class QueryTracker:
 
     def depth(self, servo_id: int) -> int:
         """Return how many queries in a row the servo may get."""
-        return self._known(servo_id).depth
+        return self._links[servo_id].depth
 
     def reply_bytes(self, servo_id: int, keyword: str) -> int:
         """Return the longest expected answer: a digit more than the last one."""
-        return self._known(servo_id).reply_bytes.get(keyword, REPLY_MAX_BYTES)
+        return self._links[servo_id].reply_bytes.get(keyword, REPLY_MAX_BYTES)
 
     def is_overdue(self, servo_id: int, keyword: str) -> bool:
         """Return whether a late answer could be taken for the answer to `keyword`.
 
         The servo answers in order, so its answer to any other query ends this.
         """
-        return keyword in self._known(servo_id).overdue
+        return keyword in self._links[servo_id].overdue
 
     def reads_ns(self, now_ns: int) -> int | None:
         """Return until when answers may wait to be handed over; None: they may not.
@@ -287,7 +286,7 @@ class QueryTracker:
         None: a query in flight must be answered or given up first. An urgent one may leave soon
         after a timeout: a late answer to an earlier one is as good.
         """
-        link = self._known(servo_id)
+        link = self._links[servo_id]
         quiet_until_ns = 0 if is_urgent else link.quiet_until_ns
         if self._flights and servo_id == next(reversed(self._flights)):
             is_full = len(self._flights[servo_id].waiting) >= self._window(link)
@@ -296,7 +295,7 @@ class QueryTracker:
             return None
         arrival_ns = 0
         for other_id, flight in self._flights.items():
-            if not (link.latency.is_known and self._known(other_id).latency.is_known):
+            if not (link.latency.is_known and self._links[other_id].latency.is_known):
                 return None
             arrival_ns = max(arrival_ns, flight.end_ns - link.latency.earliest_ns)
         return max(quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
@@ -317,7 +316,7 @@ class QueryTracker:
         servo_id = command.servo_id
         arrival_ns = self._line.send(encode(command), now_ns)
         if (flight := self._flights.get(servo_id)) is None:
-            link = self._known(servo_id)
+            link = self._links[servo_id]
             link.flights += 1
             is_prompt = link.flights % PROMPT_EVERY == 0 or not link.latency.is_well_known
             flight = self._flights[servo_id] = _Flight(
@@ -327,7 +326,7 @@ class QueryTracker:
         flight.counts[command.keyword] += 1
         flight.waiting.append(PendingQuery(command, arrival_ns, reply_bytes))
         self._predict(servo_id, flight)
-        self._known(servo_id).last_sent_ns = self._last_ns = now_ns
+        self._links[servo_id].last_sent_ns = self._last_ns = now_ns
         self.query_count += 1
 
     def receive(self, reply: Reply, now_ns: int) -> list[tuple[PendingQuery, Reply]]:
@@ -340,7 +339,7 @@ class QueryTracker:
         if query is None:
             self._note_stray(servo_id, reply.keyword, now_ns)
             return []
-        flight, link = self._flights[servo_id], self._known(servo_id)
+        flight, link = self._flights[servo_id], self._links[servo_id]
         self.reply_count += 1
         size_bytes = len(encode(reply))
         link.note_size(reply.keyword, size_bytes)
@@ -363,7 +362,7 @@ class QueryTracker:
         given_up, self._lost = self._lost, []
         late = [one for one, flight in self._flights.items() if now_ns >= flight.give_up_ns]
         for servo_id in late:
-            flight, link = self._flights.pop(servo_id), self._known(servo_id)
+            flight, link = self._flights.pop(servo_id), self._links[servo_id]
             given_up += flight.waiting
             self.strays += len(flight.held)
             link.quiet_until_ns = now_ns + STRAY_NS
@@ -371,11 +370,6 @@ class QueryTracker:
             link.fail()
         self.timeouts += len(given_up)
         return given_up
-
-    def _known(self, servo_id: int) -> _LinkState:
-        if (link := self._links.get(servo_id)) is None:
-            link = self._links[servo_id] = _LinkState()
-        return link
 
     def _window(self, link: _LinkState) -> int:
         """Return how many queries must be in flight so that the servo never idles."""
@@ -418,16 +412,16 @@ class QueryTracker:
         del self._flights[servo_id]
         accepted = flight.held
         if flight.is_doubtful or flight.garbage != self._line.garbage:
-            self._known(servo_id).fail()
+            self._links[servo_id].fail()
             accepted = [pair for pair in accepted if flight.counts[pair[1].keyword] == 1]
             self.strays += len(flight.held) - len(accepted)
         else:
-            self._known(servo_id).succeed()
+            self._links[servo_id].succeed()
         return accepted
 
     def _predict(self, servo_id: int, flight: _Flight) -> None:
         """Compute when the last answer of a flight has come in at the latest."""
-        latency = self._known(servo_id).latency
+        latency = self._links[servo_id].latency
         latest_ns = latency.latest_ns
         if flight.is_patient:
             latest_ns += latency.spread_ns // PATIENT_SPREAD

@@ -211,7 +211,9 @@ class Streamer:
 
     @property
     def _has_any_moved(self) -> bool:
-        return self.has_moved or any(other.has_moved for other in self._beside)
+        return self.has_moved or (
+            bool(self._beside) and any(other.has_moved for other in self._beside)
+        )
 
     # ---- its state
 

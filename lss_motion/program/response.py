@@ -13,6 +13,7 @@ element a servo, or rows of such, a row a candidate. A property test holds both 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -117,14 +118,14 @@ class PiecewiseProfile:
 
     def _piece(self, time_s: float) -> tuple[float, float, float, float, float]:
         """Return the piece at one instant as `_near`; before the first piece that one."""
-        index = max(int(self._start_s.searchsorted(time_s, side="right")) - 1, 0)
+        index = max(bisect_right(self._start_s.data, time_s) - 1, 0)
         is_last = index + 1 == len(self._start_s)
         return (
-            float(self._start_s[index]),
-            math.inf if is_last else float(self._start_s[index + 1]),
-            float(self._position[index]),
-            float(self._speed[index]),
-            float(self._accel[index]),
+            self._start_s.item(index),
+            math.inf if is_last else self._start_s.item(index + 1),
+            self._position.item(index),
+            self._speed.item(index),
+            self._accel.item(index),
         )
 
 

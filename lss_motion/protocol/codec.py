@@ -10,7 +10,6 @@ The module also lists the settings that a servo keeps without power (`storable`)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
@@ -63,8 +62,7 @@ def language_table(language: Family | Language) -> FamilyTable:
 _SENSOR_SUFFIXES: Final = (Suffix.GP2Y0A41SK0F, Suffix.GP2Y0A21YK0F, Suffix.GP2Y0A02YK0F)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Decoded:
+class Decoded(NamedTuple):
     """One command or reply in physical units.
 
     `value` is in `unit`. It is text for a reply with text, and None if there is no value or if a
@@ -79,7 +77,7 @@ class Decoded:
     value: float | str | None = None
     unit: Unit = Unit.NONE
     suffix: Suffix | None = None
-    modifiers: Mapping[str, float] = field(default_factory=dict)
+    modifiers: Mapping[str, float] = MappingProxyType({})
 
 
 def make_command(

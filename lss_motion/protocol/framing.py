@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,8 +35,7 @@ TEXT_COMMAND: Final = "CRC"
 """The only command whose value may be text (`#5CRC*`, FACTS.md R14)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """A command of the host. `keyword` is upper case. A query has its suffix as value (`QSD2`)."""
 
     servo_id: int
@@ -45,8 +44,7 @@ class Command:
     modifiers: tuple[tuple[str, int], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """A reply of a servo. `servo_id` is None in `*QID5`; `value` is None in `*5QDT`."""
 
     servo_id: int | None

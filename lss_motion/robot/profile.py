@@ -6,9 +6,7 @@ the source of each assumption. `program.response` computes the same over many co
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.robot.servo_models import ramp_of_steps, ramp_steps, ramp_steps_max
 
@@ -37,8 +35,7 @@ def ramp_deg_s2(joint: Joint) -> float:
     return ramp_setting_deg_s2(joint) * joint.ramp_ratio
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
+class Piece(NamedTuple):
     """A part of a profile with constant acceleration, from `start_s` until the next piece."""
 
     start_s: float
@@ -172,6 +169,9 @@ class Profile:
 
     def copy(self) -> Profile:
         """Return an independent profile with the same history."""
-        twin = copy.copy(self)
-        twin._pieces = [*self._pieces]  # noqa: SLF001  (its own)
+        twin = Profile.__new__(Profile)
+        twin.ramp_deg_s2 = self.ramp_deg_s2
+        twin._speed_max_deg_s = self._speed_max_deg_s  # noqa: SLF001  (its own)
+        twin._response = self._response  # noqa: SLF001
+        twin._pieces = [*self._pieces]  # noqa: SLF001
         return twin

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import groupby
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -401,7 +401,7 @@ class Answering:
         talker, servo_id, _, _ = answers[0]
         sender = self._faults.sender(servo_id, start_ns)
         replies = [
-            replace(answer.reply, servo_id=sender)
+            answer.reply._replace(servo_id=sender)
             if sender != servo_id and answer.reply.servo_id == servo_id
             else answer.reply
             for answer in answers

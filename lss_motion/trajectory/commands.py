@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -171,7 +171,7 @@ class _Servo:
         secant = (target_deg - start.position_deg) / length_s
         square = (3.0 * secant - 2.0 * start.speed_deg_s) / length_s
         cube = (start.speed_deg_s - 2.0 * secant) / length_s**2
-        self._pieces.append((replace(start, accel_deg_s2=2.0 * square), to_s, cube))
+        self._pieces.append((start._replace(accel_deg_s2=2.0 * square), to_s, cube))
         self._rest_s = to_s
         self._covered.append(move)
 
