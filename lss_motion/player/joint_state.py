@@ -249,6 +249,7 @@ class JointState:
 
         `has_missed`: it needs a move already.
         """
+        self.held_back += self.resend_ns is not None
         self.in_doubt = True
         self._has_missed |= has_missed or self.resend_ns is not None
         self.deferred = self.guide_ns = None
@@ -522,8 +523,7 @@ class JointState:
 
     def _recent_deg_s(self, course_s: float) -> float:
         """Return the largest speed of the profile of late, 0 if it rests."""
-        speeds = [abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S]
-        return max(speeds)
+        return max(abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S)
 
     def _is_settled(self, read_s: float) -> bool:
         """Return whether the servo was at rest at `read_s` and for a while before."""

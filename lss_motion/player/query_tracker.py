@@ -394,12 +394,13 @@ class QueryTracker:
     def _note_stray(self, servo_id: int, keyword: str, now_ns: int) -> None:
         self.strays += 1
         flight, link = self._flights.get(servo_id), self._links.get(servo_id)
-        if flight is not None:
-            flight.is_doubtful = True
-        if link is not None and keyword in link.overdue:
+        is_late = link is not None and keyword in link.overdue
+        if link is not None and is_late:
             link.last_reply_ns = now_ns
-            if flight is None:
-                link.latency.forget(now_ns - link.overdue[keyword])
+            link.latency.forget(now_ns - link.overdue[keyword])
+        if flight is not None:
+            flight.is_doubtful |= not is_late
+            self._predict(servo_id, flight)
 
     def _accepted(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
         """Return, and stop holding, the answers that can belong to one query only."""

@@ -86,6 +86,8 @@ FOUND_MIXED = (
     61022,  # Each answer came after it was given up, so joints were held back to the end.
     65799,  # All servos of a bus restarted while one that moved was not polled.
     68565,  # A servo restarted while it was asked for its gyre, which was never answered.
+    64791,  # Targets in EM0 were held back, since answers came under another id: a filter brakes.
+    69669,  # Late answers came behind the next query, and taught nothing: no angle was known.
     60333,  # A lag turned out to be larger: three moves of a joint left at once.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

@@ -338,7 +338,8 @@ class _Judge:
             # Without power a motor stops at once.
             at = instant_ns // STEP_NS
             accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
-        if joint.drive == "streamed" and FaultKind.OVERSLEEP in self.kinds:
+        is_starved = FaultKind.OVERSLEEP in self.kinds or self._held_back(joint.name)
+        if joint.drive == "streamed" and is_starved:
             for at in self._starved(joint, received):
                 brakes = accel[at] * speed[: len(accel)][at] < 0.0
                 accel[at] = np.where(brakes, 0.0, accel[at])
@@ -372,9 +373,10 @@ class _Judge:
         return broken + self._rest(joint, float(angles[-1]))
 
     def _starved(self, joint: Joint, received: Sequence[tuple[int, bytes]]) -> list[slice]:
-        """Return when a filter had no new target in time: then it brakes by itself.
+        """Return when a filter had no new target in time: then it brakes by itself (FACTS.md M6).
 
-        A host that wakes late can do nothing about that.
+        A host that wakes late can do nothing about that, nor one that must send no target since the
+        servo has not answered and may have restarted.
         """
         period_ns = ns_from_s(joint.response.filter_s)
         lag_ns = ns_from_s(LAGS * joint.response.lag_s)

@@ -264,6 +264,18 @@ def test_a_servo_whose_answer_comes_after_it_was_given_up_gets_more_time(tracker
     assert tracker.receive(Reply(5, "QT", 250), now_ns + line.time_ns(5) + wait_ns)
 
 
+def test_an_answer_that_comes_behind_the_next_query_shows_that_the_servo_is_slow(tracker, line):
+    tracker.send(ASK, 0)
+    given_up_ns = tracker.give_up_ns
+    tracker.expire(given_up_ns)
+    tracker.send(Command(5, "QAD"), given_up_ns)
+    wait_ns = REPLY_TIMEOUT_NS + 20_000_000
+    assert tracker.receive(Reply(5, "QD", 100), line.time_ns(5) + wait_ns) == []
+    arrival_ns = given_up_ns + line.time_ns(6)
+    assert tracker.expire(arrival_ns + wait_ns) == []
+    assert tracker.receive(Reply(5, "QAD", 32), arrival_ns + wait_ns)
+
+
 def test_an_answer_from_long_ago_says_nothing_of_how_slow_a_servo_is(tracker):
     tracker.send(ASK, 0)
     tracker.expire(tracker.give_up_ns)
