@@ -17,6 +17,7 @@ from random import Random
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.errors import InputError
+from lss_motion.network.conductor import LEAD_NS
 from lss_motion.player.following import RUNNING_RATE
 from lss_motion.player.show_clock import Leg
 from lss_motion.robot.on_fault import Cause
@@ -26,7 +27,7 @@ from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.records import Records, must_restart, renewed, state_word
 from lss_motion.stage.timecode import READY_MAX_S
 from lss_motion.stage.triggers import JUMP_S
-from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -55,7 +56,12 @@ figures trim the rest away."""
 READY_AHEAD_S: Final = 12.0
 """Figures go to the beginning of a show so long before the timecode comes there."""
 ARM_LEAD_S: Final = 8.0
-"""A show that joins the timecode waits at the place that it reaches so much later."""
+"""A show that joins the timecode waits at the place that it reaches so much later, the first time.
+Chosen: two figures of five joints need 3 s, eight of 18 on two busy cores 11 s."""
+ARM_LEAD_RATIO: Final = 1.3
+ARM_LEAD_LEAST_S: Final = 4.0
+"""Afterwards it is what the robots needed the last time, with so much room, and the leg's second,
+but no less than this, as the way may be longer this time."""
 
 ACTIVE: Final = frozenset({"arming", "armed", "playing", "freewheeling", "holding", "stopping"})
 """States of a figure with a player."""
@@ -102,6 +108,7 @@ class Conducting:
         )
         self._wall = wall
         self.records = Records(stage, wall, write)
+        self._offer()
         self.phase: Phase = "standing"
         self._since_ns = 0
         self._order: orders.Play | None = None
@@ -168,9 +175,19 @@ class Conducting:
                 return must_restart(f"another value of {name}")
         changed = {name for name in offers if offers[name] != self._offers.get(name)}
         self.stage, self._offers = stage, dict(offers)
+        self._offer()
         self.director.renew(stage, infos_of(offers), changed)
         self.records.renew(stage)
         return renewed(changed)
+
+    def _offer(self) -> None:
+        """Let figures fetch and verify every show before it is wanted."""
+        shows = self._offers.values()
+        contents = {name: one for show in shows for name, one in show.contents.items()}
+        try:
+            self.host.offer([one.cast for one in shows], contents)
+        except OSError as error:
+            self.records.note("network", f"the plans cannot be offered yet: {error}")
 
     def note_counts(self) -> None:
         """Keep what was counted since the last time."""
@@ -247,13 +264,20 @@ class Conducting:
         is_led = self._order.follows_s is not None
         place_s = self._order.start_s or 0.0
         if (leader := self._leader()) is not None and leader.rate >= RUNNING_RATE:
-            place_s = max(leader.at_s(self.now_ns + ns_from_s(ARM_LEAD_S)), 0.0)
+            place_s = max(leader.at_s(self.now_ns + ns_from_s(self._arm_lead_s())), 0.0)
         try:
             self.host.go(place_s, self._leader if is_led else None)
         except InputError as refused:
             self._refuse(str(refused))
         else:
             self._enter("arming")
+
+    def _arm_lead_s(self) -> float:
+        """Return how far ahead of the timecode the robots wait for it."""
+        armed_s = self.host.armed_s
+        if armed_s is None:
+            return ARM_LEAD_S
+        return max(ARM_LEAD_LEAST_S, ARM_LEAD_RATIO * armed_s + s_from_ns(LEAD_NS))
 
     def _arm(self) -> None:
         assert self._order is not None

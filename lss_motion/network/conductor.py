@@ -80,6 +80,8 @@ class Conductor:
     seats: dict[str, FigureSeat] = field(init=False)
     wanted: Wanted = field(default="nothing", init=False)
     cast: Cast | None = field(default=None, init=False)
+    catalogue: str | None = field(default=None, init=False)
+    """Hash of the `messages.Catalogue`."""
     run: int = field(default=0, init=False)
     leg: NetworkLeg | None = field(default=None, init=False)
     examines: int = field(default=0, init=False)
@@ -113,6 +115,7 @@ class Conductor:
             wanted=self.wanted,
             run=self.run,
             cast=self._cast_hash,
+            catalogue=self.catalogue,
             leg=self.leg,
             freewheel_s=self.freewheel_s,
             start_s=self._start_s,

@@ -31,11 +31,13 @@ from lss_motion.network.figure import (
 from lss_motion.network.messages import (
     Ask,
     Beat,
+    Catalogue,
     ClockAnswer,
     ClockQuestion,
     Findings,
     Status,
     StopAll,
+    hash_of,
     packed,
     parse,
 )
@@ -44,7 +46,7 @@ from lss_motion.player.following import RUNNING_RATE
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.network.conductor import Others
     from lss_motion.network.messages import Cast
@@ -105,6 +107,9 @@ class PlayerEnd(Protocol):
 class Host:
     """One computer. `log` gets what happens, a line each."""
 
+    armed_s: float | None = None
+    """How long the last start took until all robots stood at their place (conductor only)."""
+
     def __init__(  # noqa: PLR0913  (what one computer has)
         self,
         settings: NetworkSettings,
@@ -155,6 +160,8 @@ class Host:
         self._ask_count = 0
         self._stops_left = 0
         self._arming_ns: int | None = None
+        self._is_timed = False
+        """Whether this start is measured, which has not ended yet."""
         self._clock_of = ""
         self._due_ns = {"clock": 0, "status": 0, "beat": 0, "stop": 0, "ask": 0, "tick": 0}
         self._sent_beat: tuple[object, ...] = ()
@@ -181,6 +188,13 @@ class Host:
 
     # ---- what a person, or the stage, wants
 
+    def offer(self, casts: Sequence[Cast], contents: Mapping[str, bytes]) -> None:
+        """Let all figures make these casts ready when they have nothing else to do."""
+        catalogue = packed(Catalogue(casts=tuple(hash_of(packed(cast)) for cast in casts)))
+        for content in (*contents.values(), catalogue):
+            self._store.put(content)
+        self._require_conductor().catalogue = hash_of(catalogue)
+
     def load(self, cast: Cast, contents: Mapping[str, bytes]) -> None:
         """Offer a cast and its plans to all figures (conductor only)."""
         conductor = self._require_conductor()
@@ -204,7 +218,7 @@ class Host:
         for text in conductor.warnings():
             self.log(f"warning: {text}")
         conductor.arm(now_ns, start_s)
-        self._arming_ns, self._leader = now_ns, leader
+        self._arming_ns, self._leader, self._is_timed = now_ns, leader, True
         self.log("GO: the robots move to their start")
 
     def stop(self) -> None:
@@ -380,12 +394,14 @@ class Host:
         if conductor.wanted != "armed":
             self._arming_ns = None
         elif conductor.is_armed(now_ns):
+            if self._is_timed:
+                self._is_timed, self.armed_s = False, s_from_ns(now_ns - since_ns)
             leader = None if self._leader is None else self._leader()
             if self._leader is not None and (leader is None or not _is_near(leader, now_ns)):
                 return
             self._arming_ns = None
             conductor.start(now_ns, leader)
-            self.log(f"all stand at the start after {s_from_ns(now_ns - since_ns):.1f} s: starts")
+            self.log(f"all stand at the start after {self.armed_s or 0.0:.1f} s: starts")
         elif now_ns - since_ns > ARM_MAX_NS or conductor.has_failed(now_ns):
             self.log("the start is given up: " + "; ".join(conductor.problems(now_ns)))
             self.stop()

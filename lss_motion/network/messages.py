@@ -13,7 +13,7 @@ and however often, the newest is enough. So nothing is acknowledged and nothing 
 | `examined/NAME`                    | `Examined`        | conductor, when `doctor` asks           |
 | `figure/NAME/clock`                | `ClockQuestion`   | figure, 8 Hz                            |
 | `clock/NAME`                       | `ClockAnswer`     | conductor                               |
-| `plan/SHA256`                      | bytes of a plan or a `Cast` | conductor, when it is queried |
+| `plan/SHA256`                      | a plan, `Cast`, `Catalogue` | conductor, when it is queried |
 | `figure/NAME/alive`                | liveliness token  | figure                                  |
 | `conductor/alive`                  | liveliness token  | conductor                               |
 """
@@ -28,7 +28,7 @@ from pydantic import Field, ValidationError
 from lss_motion.errors import InputError
 from lss_motion.remote.schema import Message
 
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 """Conductor and figures must have the same."""
 MESSAGE_MAX_BYTES: Final = 16 * 1024
 """A longer message is none of ours; the longest, a `Status` with its texts, has about 1 kB."""
@@ -84,6 +84,8 @@ class Beat(Message):
     wanted: Wanted = "nothing"
     run: Annotated[int, Field(ge=0)] = 0
     cast: Hash | None = None
+    catalogue: Hash | None = None
+    """What may be wanted later: figures fetch and verify it before (`Catalogue`)."""
     leg: NetworkLeg | None = None
     freewheel_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 2.0
     start_s: Annotated[float, Field(ge=0.0, le=1e7)] = 0.0
@@ -114,6 +116,12 @@ class Cast(Message):
     show: Annotated[str, Field(min_length=1, max_length=64)]
     duration_s: Annotated[float, Field(ge=0.0)] | None
     parts: dict[FigureName, Part]
+
+
+class Catalogue(Message):
+    """The hashes of the casts that may be wanted, the likely ones first."""
+
+    casts: Annotated[tuple[Hash, ...], Field(max_length=1000, strict=False)]
 
 
 FigureState = Literal[

@@ -11,12 +11,13 @@ from __future__ import annotations
 import contextlib
 import select
 import subprocess
+import threading
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import EXIT_UNREACHABLE, LssMotionError
-from lss_motion.network.figure import PlayerView
+from lss_motion.network.figure import KEPT_PLANS, PlayerView
 from lss_motion.network.messages import hash_of
 from lss_motion.network.plans import read_plan
 from lss_motion.player.events import Phase
@@ -79,8 +80,9 @@ class PlayerLink:
         self._hottest_c: float | None = None
         self._late_us: int | None = None
         self._number = 0
+        self._jobs_lock = threading.Lock()
         self._jobs: dict[str, bytes] = {}
-        """The packed job of the plan that was prepared last, by its hash."""
+        """The packed jobs of the plans that were prepared last, by their hashes."""
         self._is_stopped = self._is_closing = False
         self._leaving: list[subprocess.Popen[bytes]] = []
         """Processes that end by themselves."""
@@ -104,7 +106,11 @@ class PlayerLink:
             # Sounds of the conductor's robot follow the legs, as the robot does.
             options={"sound": SoundChoice(leads=False), **self._options},
         )
-        self._jobs = {hash_of(plan): packed(job)}
+        name, content = hash_of(plan), packed(job)
+        with self._jobs_lock:
+            jobs = [(one, kept) for one, kept in self._jobs.items() if one != name]
+            # More than the figure counts on.
+            self._jobs = dict([*jobs[1 - 2 * KEPT_PLANS :], (name, content)])
         return ""
 
     def arm(self, plan: str, start_s: float) -> None:

@@ -8,9 +8,15 @@ import pytest
 from benches.network import moving, one_joint, played
 from benches.stage_model import World
 from lss_motion.errors import InputError
-from lss_motion.network.conducting import Conducting, Offer
+from lss_motion.network.conducting import (
+    ARM_LEAD_LEAST_S,
+    ARM_LEAD_RATIO,
+    ARM_LEAD_S,
+    Conducting,
+    Offer,
+)
 from lss_motion.network.host import Host
-from lss_motion.network.messages import Ask, Cast, hash_of, packed
+from lss_motion.network.messages import Ask, Cast, Part, hash_of, packed
 from lss_motion.remote.schema import Follow
 from lss_motion.remote.stage_messages import StageState
 from lss_motion.stage.load import load_stage
@@ -46,12 +52,9 @@ class Bridge(Host):
         self.texts = []
         self.log = self.texts.append
         self.player = SimpleNamespace(stop=lambda: None)
+        self._store = SimpleNamespace(put=lambda one: world.store.update({hash_of(one): one}))
         self._now_ns = lambda: world.now_ns
         self._arming_ns = self._leader = None
-
-    def load(self, cast, contents):
-        self.world.store |= contents
-        self.conductor.load(cast)
 
     def tick(self):
         conductor, now_ns = self.conductor, self.world.now_ns
@@ -72,8 +75,14 @@ def begun(folder, text, timecode=None, show_s=LONG_S):
     bridge, records = Bridge(world), []
     offers = {}
     for name in stage.shows:
-        cast = Cast(show=name, duration_s=show_s, parts=world.cast.parts)
-        offers[name] = Offer(cast, {hash_of(packed(cast)): packed(cast)})
+        plans = {figure: f"{figure} plays {name}".encode() for figure in world.cast.parts}
+        parts = {
+            figure: Part(plan=hash_of(plans[figure]), robot=part.robot)
+            for figure, part in world.cast.parts.items()
+        }
+        cast = Cast(show=name, duration_s=show_s, parts=parts)
+        contents = {hash_of(one): one for one in (packed(cast), *plans.values())}
+        offers[name] = Offer(cast, contents)
     given = stage.sync.timecode
     led = None if given is None else StageTimecode(given, timecode(world))
     run = Conducting(stage, offers, bridge, records.append, seed=1, timecode=led)
@@ -123,6 +132,17 @@ def test_a_trigger_at_any_figure_interrupts_the_show_of_all_which_is_resumed(eve
     assert [one.name for one in state.hosts] == ["f0", "f1", "f2"]
     assert all(one.is_good and one.bound_ms < 5.0 for one in state.hosts)
     assert (state.state, state.show) == ("plays", "hello")
+
+
+def test_what_may_come_is_fetched_and_verified_before_so_that_a_cue_waits_for_robots_only(evening):
+    evening.until(lambda: evening.playing("idle"), 30.0)
+    evening.until(lambda: evening.conductor.show_s(evening.world.now_ns) > 3.0, 10.0)
+    logs = [one.log for one in evening.world.hosts.values()]
+    marks = [len(log) for log in logs]
+    evening.run.take("f1", ask(what="trigger", kind="osc", cue="/door", value=1.0))
+    evening.until(lambda: evening.playing("scare"), 30.0)
+    for log, mark in zip(logs, marks, strict=True):
+        assert not any("fetching" in line or "verifying" in line for line in log[mark:]), log[mark:]
 
 
 def test_a_figure_that_is_lost_for_long_ends_the_show_and_the_stage_begins_again(evening):
@@ -276,3 +296,23 @@ def test_a_pause_and_a_lost_figure_hold_all_whatever_the_timecode_does(tmp_path)
     run(5.0)
     assert at(world.now_ns / NS_PER_S) is None
     assert conductor.leg.rate == 0.0, "lost: hold"
+
+
+def test_a_show_joins_the_timecode_after_as_long_as_the_robots_needed_before(tmp_path):
+    def at(seconds):
+        """In the middle of the show, then 6 s outside of it, and in it again."""
+        return (45.0 if seconds < 20.0 else 95.0 if seconds < 26.0 else 20.0) + seconds, 1.0
+
+    own = begun(tmp_path, LED, lambda world: Desk(world, at), show_s=40.0)
+    world, conductor = own.world, own.conductor
+    leads_s = []
+    for _ in range(2):
+        own.until(lambda: conductor.wanted == "armed", 30.0)
+        led_s = at(world.now_ns / NS_PER_S)[0] - BEGIN_S
+        leads_s.append(conductor.beat().start_s - led_s)
+        own.until(lambda: own.playing("hello"), 19.0)
+        own.until(lambda: conductor.wanted != "armed", 30.0)
+    needed_s = own.run.host.armed_s
+    assert 1.0 < needed_s < 5.0
+    wanted_s = [ARM_LEAD_S, max(ARM_LEAD_LEAST_S, ARM_LEAD_RATIO * needed_s + 1.0)]
+    assert leads_s == pytest.approx(wanted_s, abs=0.1)

@@ -196,7 +196,7 @@ def test_second_and_stale_conductors_are_refused():
         (forged(world, instance=other, **stopped), "a second one with the epoch of the first"),
         (forged(world, instance=other, epoch=9, **stopped), "the first one .* still conducts"),
         (forged(world, conductor="f3", **stopped), "the stage file names f0"),
-        (forged(world, protocol=2, **stopped), "has protocol 2"),
+        (forged(world, protocol=9, **stopped), "has protocol 9"),
     ):
         figure.take_beat(beat, host.now_ns())
         world.run(0.5)
