@@ -17,8 +17,10 @@ REST_LEAST_S: Final = 0.25
 its way. One that turns round within ramps a tenth as steep as usual is slow for half of that."""
 UNCHANGED_RATIO: Final = 0.1
 """A correction had no effect if it changed the error by no more than this share: the play of the
-gears took all of it up, and the next one is twice as large. Without a load the error is half of the
-play, so these two are all that is needed."""
+gears took all of it up, and the next one is twice the error without any correction: without a load
+that is half of the play, so these two are all that is needed."""
+PLAY_MAX_DEG: Final = 2.0
+"""No more play than this is taken up at once. Chosen: more than the gears of any servo have."""
 HELPED_RATIO: Final = 0.6
 """A correction has helped if it leaves no more than this share of the error."""
 ATTEMPTS_MAX: Final = 4
@@ -133,4 +135,8 @@ class StandingCorrector:
         self._last_deg = error_deg
         if self._tried_deg is None:
             self._tried_deg, self._before_deg = error_deg, offset_deg
-        return offset_deg + (2.0 if is_stuck else 1.0) * error_deg
+        if not is_stuck:
+            return offset_deg + error_deg
+        bare_deg = abs(self._tried_deg + self._before_deg)
+        play_deg = max(min(2.0 * bare_deg, PLAY_MAX_DEG), 2.0 * abs(error_deg))
+        return offset_deg + math.copysign(play_deg, error_deg)

@@ -8,6 +8,7 @@ its horn is.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from random import Random
 
 import numpy as np
@@ -29,6 +30,7 @@ from lss_motion.player.estimators import (
 )
 from lss_motion.player.standing import (
     ATTEMPTS_MAX,
+    PLAY_MAX_DEG,
     PUSH_S,
     READINGS_LEAST,
     STANDING_DEG,
@@ -324,6 +326,20 @@ def test_without_a_load_two_corrections_are_enough_for_play():
     """The horn stands at one end of a play of 1.5 deg, and comes from the other."""
     rest = Rest(lambda offset_deg: -0.75 + max(0.0, offset_deg - 1.5)).read(60)
     assert rest.sent == [0.75, 2.25]
+
+
+def test_play_of_which_a_move_corrected_too_much_needs_no_more():
+    """The horn lies on the upper end of the play, and must come to the lower one."""
+    rest = Rest(lambda offset_deg: max(-0.28, offset_deg - 0.75))
+    rest.offset_deg = -1.03
+    assert rest.read(60).sent == [-0.75, 0.75]
+
+
+def test_more_play_than_gears_have_is_not_taken_up_at_once():
+    rest = Rest(lambda offset_deg: -0.3)
+    rest.offset_deg = -3.0
+    rest.read(60)
+    assert max(abs(b - a) for a, b in pairwise([-3.0, *rest.sent[:3]])) == PLAY_MAX_DEG
 
 
 def test_with_a_wrong_model_a_horn_that_turns_round_does_not_rest():
