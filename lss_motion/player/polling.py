@@ -7,7 +7,6 @@ line allows. Positions and targets go to the joint's own `JointState`, health to
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
@@ -23,7 +22,7 @@ from lss_motion.player.query_choice import (
     Pace,
     Polled,
 )
-from lss_motion.player.settings_watch import HOLD_SIGNS, SettingsWatch
+from lss_motion.player.settings_watch import HOLD_SIGNS, SettingsWatch, Silence
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.framing import Command, Reply, encode
@@ -103,8 +102,7 @@ class PollScheduler:
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
-        self._silent: dict[str, Counter[int]] = {bus: Counter() for bus in lines}
-        """Timeouts by servo id since the last reply on a bus."""
+        self._silences = {bus: Silence() for bus in lines}
         self.watched = SensorWatch(())
         """Sensors that are polled although no show waits for them."""
 
@@ -292,7 +290,7 @@ class PollScheduler:
     ) -> None:
         tracker = self._trackers[bus]
         accepted = tracker.receive(reply, now_ns)
-        self._silent[bus].clear()
+        self._silences[bus].answered(reply.servo_id)
         state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
         if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
             self.health.answered(state)
@@ -435,12 +433,7 @@ class PollScheduler:
                     self.doubt_all([bus])
 
     def _note_silence(self, bus: str, servo_id: int, now_ns: int) -> None:
-        """Hold all servos of a bus back on which several have left queries unanswered in a row.
-
-        Their common power may have failed: others than the one that was polled have restarted, too.
-        """
-        silent = self._silent[bus]
-        silent[servo_id] += 1
-        if silent.total() - max(silent.values()) >= HOLD_SIGNS - 1:
+        """Hold all servos of a bus back if several fell silent at once: all may have restarted."""
+        if self._silences[bus].unanswered(servo_id):
             for state in self._by_bus[bus]:
                 self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)

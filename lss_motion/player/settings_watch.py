@@ -13,6 +13,7 @@ One wrong answer is no proof, since a bus without checksums can deliver one.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -55,6 +56,35 @@ class _Doubt:
     proofs: int = 0
     wrong: dict[str, int] = field(default_factory=dict)
     """The last wrong answer by keyword."""
+
+
+class Silence:
+    """Whether several servos of one bus fell silent together: their common power may have failed.
+
+    A servo that is silent while another one answers has its own reason, until it answers again.
+    """
+
+    def __init__(self) -> None:
+        self._timeouts: Counter[int] = Counter()
+        """By servo id, since the last answer on the bus."""
+        self._mute: set[int] = set()
+
+    def answered(self, servo_id: int | None) -> None:
+        """Note an answer of a servo; None: the answer does not say of which."""
+        self._mute.update(self._timeouts)
+        self._timeouts.clear()
+        if servo_id is not None:
+            self._mute.discard(servo_id)
+
+    def unanswered(self, servo_id: int) -> bool:
+        """Note a query without an answer; return whether several servos fell silent together.
+
+        Besides those of one servo that takes `HOLD_SIGNS` less one timeouts of others.
+        """
+        if servo_id in self._mute:
+            return False
+        self._timeouts[servo_id] += 1
+        return self._timeouts.total() - max(self._timeouts.values()) >= HOLD_SIGNS - 1
 
 
 class SettingsWatch:

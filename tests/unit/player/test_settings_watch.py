@@ -2,7 +2,13 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.settings_watch import HOLD_SIGNS, READ_BACK_NS, Probe, SettingsWatch
+from lss_motion.player.settings_watch import (
+    HOLD_SIGNS,
+    READ_BACK_NS,
+    Probe,
+    SettingsWatch,
+    Silence,
+)
 
 S = 1_000_000_000
 PROBES = (Probe("QAA", 60, 100), Probe("QSD", 1800, 3600))
@@ -87,3 +93,13 @@ def test_moves_that_were_held_back_are_sent_on_release(watch, state, line):
     assert state.release() is True
     state.send(line, 10.0, 0.5, 5)
     assert line.take() == b"#1D100T500\r"
+
+
+def test_servos_that_fall_silent_together_are_told_from_those_that_are_silent_by_themselves():
+    silence = Silence()
+    assert [silence.unanswered(one) for one in (1, 2, 1, 2)] == [False, False, False, True]
+    silence.answered(3)
+    assert not any(silence.unanswered(one) for one in (1, 2, 1, 2, 1, 2))
+    assert [silence.unanswered(one) for one in (3, 4, 3, 5)] == [False, False, False, True]
+    silence.answered(1)
+    assert [silence.unanswered(one) for one in (1, 1, 1, 6, 2, 6)] == [False] * 5 + [True]
