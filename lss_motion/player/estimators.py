@@ -96,7 +96,7 @@ FOUND_S: Final = 0.02
 9 ms where the model of the servo is right, 20 to 580 ms with other ramps, another retarget, or a
 weak motor."""
 NAMED_S: Final = 0.0165
-NAMED_READINGS: Final = 8
+NAMED_READINGS: Final = 7
 """An error of this size that is left in motion, at so many readings in a row, is a wrong model of
 the servo."""
 NAMED_FROM: Final = 20
@@ -184,13 +184,17 @@ class HornEstimator:
 
     @property
     def early_s(self) -> float:
-        """By how much commands are sent earlier: the lag, or 0 if it is small or no lag."""
+        """By how much commands are sent earlier: the lag, or 0 if it is small or no lag.
+
+        Where much is left that it does not explain, it is no lag either: a motor that is too weak
+        is late on its way there, and on the way back it was sent too early.
+        """
         lag_s, unsure_s = self.lag_s, math.sqrt(max(self._cov[-1][-1], 0.0))
         clear = min(max(0.0, abs(lag_s) / (DEAD_S + unsure_s) - 1.0), 1.0)
         if clear == 0.0:
             return 0.0
         sure = (self.explained_ratio - EXPLAINED_LEAST) / (EXPLAINED_SURE - EXPLAINED_LEAST)
-        return lag_s * clear * min(max(0.0, sure), 1.0)
+        return lag_s * clear * min(max(0.0, sure), 1.0) * self.model_ratio
 
     @property
     def explained_ratio(self) -> float:
