@@ -46,9 +46,7 @@ WIDTH: Final = 100
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    beats = add_command(
-        commands, "beats", _beats, "find the beats of music, and put them into a show", DESCRIPTION
-    )
+    beats = add_command(commands, "beats", _beats, DESCRIPTION)
     beats.add_argument("file", type=Path, metavar="FILE", help="a sound file")
     beats.add_argument(
         "--bpm",

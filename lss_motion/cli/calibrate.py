@@ -44,7 +44,6 @@ def add_to(commands: Commands) -> None:
         commands,
         "calibrate",
         _calibrate,
-        "find zero and direction of each joint by hand",
         DESCRIPTION,
     )
     add_hands_arguments(calibrate)

@@ -55,6 +55,44 @@ SIM_HELP: Final = (
 VIRTUAL_HELP: Final = "simulate in virtual time: fast, and the same on every run"
 SIMULATED_NOTE: Final = "The servos are simulated: these values tell nothing about a real robot."
 
+COMMANDS: Final = {
+    "example": "list the examples, or write one here",
+    "check": "check a file; print what was slowed and why",
+    "plan": "plan a sequence; write it as a table or a picture",
+    "compile": "compile a sequence to a program (.lss)",
+    "schema": "print the JSON Schema of our files or messages",
+    "gait": "describe how a gait walks; write keyframes or a picture",
+    "play": "the same as lss-play",
+    "studio": "see and run a show in a browser",
+    "serve": "run a stage: shows, cues, its operator's page",
+    "install-service": "start a stage with the computer, by systemd",
+    "sim": "simulate a robot behind a pseudo-terminal",
+    "doctor": "check this computer; print what to do",
+    "devices": "list the sound devices",
+    "scan": "find ports, baud rates and servos",
+    "configure": "read, compare and write settings",
+    "monitor": "show the live state of all servos",
+    "send": "send one command to one servo; print the reply",
+    "record": "record a motion shown by hand as a sequence file",
+    "replay": "print a log of lss-play, or run it again",
+    "report": "print a report of lss-play, or compare two",
+    "morning": "sum up a night of a stage from its log",
+    "jog": "move joints with keys; write poses into the robot file",
+    "calibrate": "find zero and direction of each joint by hand",
+    "import": "turn another tool's motion into a sequence file",
+    "export": "write the motion of a sequence for other tools",
+    "beats": "find the beats of music, and put them into a show",
+    "identify": "measure the response of servos",
+    "walk": "walk a gait, steered with keys or a gamepad",
+    "stage-keys": "make keys for the computers of a stage",
+    "reference": "print the commands of the servos",
+    "completion": "print the script that completes commands with the Tab key",
+}
+"""The commands of `lss-motion`, each with its line in the list of commands.
+
+Here, so that the list is printed without importing the modules of all commands.
+"""
+
 
 class CommandParser(argparse.ArgumentParser):
     """The parser of one command: it refuses an unknown option with its own usage.
@@ -76,14 +114,13 @@ def add_command(
     commands: Commands,
     name: str,
     handler: Callable[[argparse.Namespace], int],
-    text: str,
     description: str | None = None,
 ) -> argparse.ArgumentParser:
     """Add a command that runs `handler`, which returns the exit code; return its parser.
 
-    `text` stands in the list of commands. Without `description` it is the first line of the help
-    of the command as well, as a sentence.
+    Without `description` the help of the command begins with its line of `COMMANDS`, as a sentence.
     """
+    text = COMMANDS[name]
     added = commands.add_parser(
         name,
         help=text,

@@ -35,7 +35,6 @@ def add_to(commands: Commands, make_parsers: MakeParsers) -> None:
         commands,
         "completion",
         functools.partial(_completion, make_parsers),
-        "print the script that completes commands with the Tab key",
         DESCRIPTION,
     )
     completion.add_argument("shell", choices=SHELLS, help="the shell that you use")

@@ -58,9 +58,7 @@ FACTORY_ID: Final = 0
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    configure = add_command(
-        commands, "configure", _configure, "read, compare and write settings", DESCRIPTION
-    )
+    configure = add_command(commands, "configure", _configure, DESCRIPTION)
     add_robot(configure, is_required=False)
     configure.add_argument("--port", metavar="URL", help=PORT_HELP)
     configure.add_argument(

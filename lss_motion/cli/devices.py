@@ -23,7 +23,7 @@ Sounds on time need: pip install 'lss-motion[sound]'; on Linux also: sudo apt in
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    add_json(add_command(commands, "devices", _devices, "list the sound devices", DESCRIPTION))
+    add_json(add_command(commands, "devices", _devices, DESCRIPTION))
 
 
 def _devices(arguments: argparse.Namespace) -> int:

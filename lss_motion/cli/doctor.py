@@ -56,9 +56,7 @@ what the robot file states; 4 a port may not be opened, or a servo cannot be use
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    doctor = add_command(
-        commands, "doctor", _doctor, "check this computer; print what to do", DESCRIPTION
-    )
+    doctor = add_command(commands, "doctor", _doctor, DESCRIPTION)
     add_robot(doctor, is_required=False)
     doctor.add_argument("--port", metavar="URL", help=PORT_HELP)
     doctor.add_argument(

@@ -42,9 +42,7 @@ STAGES: Final = "stages/"
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    example = add_command(
-        commands, "example", _example, "list the examples, or write one here", DESCRIPTION
-    )
+    example = add_command(commands, "example", _example, DESCRIPTION)
     example.add_argument(
         "name",
         nargs="?",

@@ -111,9 +111,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _add_import(commands: Commands) -> None:
-    imported = add_command(
-        commands, "import", _import, "turn another tool's motion into a sequence file", IMPORT_TEXT
-    )
+    imported = add_command(commands, "import", _import, IMPORT_TEXT)
     imported.add_argument("file", type=Path, metavar="FILE", help="the file of the other tool")
     imported.add_argument(
         "--from",
@@ -174,9 +172,7 @@ def _add_import(commands: Commands) -> None:
 
 
 def _add_export(commands: Commands) -> None:
-    exported = add_command(
-        commands, "export", _export, "write the motion of a sequence for other tools", EXPORT_TEXT
-    )
+    exported = add_command(commands, "export", _export, EXPORT_TEXT)
     exported.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence or a gait; for mcap a log"
     )

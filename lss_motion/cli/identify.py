@@ -70,9 +70,7 @@ did not move as it should; 130 interrupted.
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    added = add_command(
-        commands, "identify", _identify, "measure the response of servos", DESCRIPTION
-    )
+    added = add_command(commands, "identify", _identify, DESCRIPTION)
     added.add_argument("joints", nargs="*", metavar="JOINT", help="joints that are free to move")
     added.add_argument("--robot", type=Path, required=True, metavar="FILE", help="the robot file")
     added.add_argument(

@@ -30,9 +30,7 @@ joints as a pose into the robot file; q ends. Nothing else in the robot file cha
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    jog = add_command(
-        commands, "jog", _jog, "move joints with keys; write poses into the robot file", DESCRIPTION
-    )
+    jog = add_command(commands, "jog", _jog, DESCRIPTION)
     add_hands_arguments(jog)
     jog.add_argument(
         "--pose",

@@ -7,7 +7,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import CommandParser, add_version
+from lss_motion.cli.commands import COMMANDS, CommandParser, add_version
 from lss_motion.cli.messages import guarded
 from lss_motion.runtime.signals import as_program
 
@@ -49,17 +49,45 @@ Each has `add_to(commands)`. Only the module of the command that runs is importe
 a third of the time that a short command takes.
 """
 
+COMPLETION: Final = "completion"
+"""The command that has to know all commands."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `lss-motion`; return its exit code."""
     words = sys.argv[1:] if argv is None else argv
-    arguments = make_parser(words[0] if words else None).parse_args(words)
+    arguments = _parser_for(words).parse_args(words)
     handler: Callable[[argparse.Namespace], int] = arguments.handler
     return guarded("lss-motion", lambda: handler(arguments))
 
 
-def make_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser of `lss-motion` with the group of `command`; with all if there is none."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of `lss-motion` with all commands."""
+    parser, commands = _empty_parser()
+    for group in GROUPS:
+        _add_group(commands, group)
+    from lss_motion.cli import completion, play
+
+    completion.add_to(commands, lambda: (make_parser(), play.make_parser()))
+    return parser
+
+
+def _parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser with the group of the command in `words`, or with names alone."""
+    command = next((word for word in words if not word.startswith("-")), None)
+    if command == COMPLETION:
+        return make_parser()
+    parser, commands = _empty_parser()
+    group = next((group for group, names in GROUPS.items() if command in names), None)
+    if group is not None:
+        _add_group(commands, group)
+        return parser
+    for name, text in COMMANDS.items():
+        commands.add_parser(name, help=text)
+    return parser
+
+
+def _empty_parser() -> tuple[argparse.ArgumentParser, Commands]:
     parser = argparse.ArgumentParser(
         prog="lss-motion",
         description=(
@@ -72,20 +100,13 @@ def make_parser(command: str | None = None) -> argparse.ArgumentParser:
         ),
     )
     add_version(parser)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
-    chosen = [group for group, names in GROUPS.items() if command in names]
-    for group in chosen or GROUPS:
-        importlib.import_module(f"lss_motion.cli.{group}").add_to(commands)
-    if not chosen:
-        _add_completion(commands)
-    return parser
+    return parser, parser.add_subparsers(
+        required=True, metavar="COMMAND", parser_class=CommandParser
+    )
 
 
-def _add_completion(commands: Commands) -> None:
-    """Add the command that has to know all commands."""
-    from lss_motion.cli import completion, play
-
-    completion.add_to(commands, lambda: (make_parser(), play.make_parser()))
+def _add_group(commands: Commands, group: str) -> None:
+    importlib.import_module(f"lss_motion.cli.{group}").add_to(commands)
 
 
 if __name__ == "__main__":

@@ -51,9 +51,7 @@ safe mode, or stops replying. Angles and speeds are those of the servos, not of 
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    monitor = add_command(
-        commands, "monitor", _monitor, "show the live state of all servos", DESCRIPTION
-    )
+    monitor = add_command(commands, "monitor", _monitor, DESCRIPTION)
     add_robot(monitor, is_required=False)
     monitor.add_argument("--port", metavar="URL", help=PORT_HELP)
     monitor.add_argument(

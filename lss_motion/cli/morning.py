@@ -26,9 +26,7 @@ and why, faults, the hottest servo, the worst error, and what to look at.
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    morning = add_command(
-        commands, "morning", _morning, "sum up a night of a stage from its log", DESCRIPTION
-    )
+    morning = add_command(commands, "morning", _morning, DESCRIPTION)
     morning.add_argument("folder", type=Path, metavar="LOG_DIR", help="the folder of the log")
     morning.add_argument(
         "--since",

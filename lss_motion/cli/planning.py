@@ -79,9 +79,7 @@ FOLLOW_HELP: Final = "with the headroom of a show that follows timecode (lss-pla
 def add_to(commands: Commands) -> None:
     """Add the commands of this module."""
     _add_check(commands)
-    planned = add_command(
-        commands, "plan", _plan, "plan a sequence; write it as a table or a picture", PLAN_TEXT
-    )
+    planned = add_command(commands, "plan", _plan, PLAN_TEXT)
     planned.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
     add_robot_options(planned)
     add_all(planned)
@@ -103,9 +101,7 @@ def add_to(commands: Commands) -> None:
         help="also draw the true horn angles, from the file of lss-play --truth",
     )
     add_force(planned)
-    compiled = add_command(
-        commands, "compile", _compile, "compile a sequence to a program (.lss)", COMPILE_TEXT
-    )
+    compiled = add_command(commands, "compile", _compile, COMPILE_TEXT)
     compiled.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
     compiled.add_argument("--follow", action="store_true", help=FOLLOW_HELP)
     add_robot_options(compiled)
@@ -114,9 +110,7 @@ def add_to(commands: Commands) -> None:
     )
     add_all(compiled)
     add_force(compiled)
-    schema = add_command(
-        commands, "schema", _schema, "print the JSON Schema of our files or messages"
-    )
+    schema = add_command(commands, "schema", _schema)
     schema.add_argument(
         "kind",
         nargs="?",
@@ -124,9 +118,7 @@ def add_to(commands: Commands) -> None:
         help="only the schema of this kind of file, or of the messages that steer a running show "
         "(default: all)",
     )
-    gait = add_command(
-        commands, "gait", _gait, "describe how a gait walks; write keyframes or a picture"
-    )
+    gait = add_command(commands, "gait", _gait)
     gait.add_argument("file", type=Path, metavar="FILE", help="a gait file")
     add_robot_options(gait)
     gait.add_argument(
@@ -137,9 +129,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _add_check(commands: Commands) -> None:
-    check = add_command(
-        commands, "check", _check, "check a file; print what was slowed and why", CHECK_TEXT
-    )
+    check = add_command(commands, "check", _check, CHECK_TEXT)
     check.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a program, a robot or a stage"
     )

@@ -84,7 +84,7 @@ other signal.
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     description = f"{DESCRIPTION}\n{EPILOG}"
-    add_arguments(add_command(commands, "play", play, "the same as lss-play", description))
+    add_arguments(add_command(commands, "play", play, description))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -48,9 +48,7 @@ Recordings keep their times. Between poses the robot moves at its approach_speed
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    record = add_command(
-        commands, "record", _record, "record a motion shown by hand as a sequence file", DESCRIPTION
-    )
+    record = add_command(commands, "record", _record, DESCRIPTION)
     record.add_argument("--robot", type=Path, required=True, metavar="FILE", help="the robot file")
     record.add_argument(
         "-o", "--output", type=Path, required=True, metavar="S.yaml", help="the sequence to write"

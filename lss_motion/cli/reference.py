@@ -48,9 +48,7 @@ HEAD: Final = (
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    reference = add_command(
-        commands, "reference", _reference, "print the commands of the servos", DESCRIPTION
-    )
+    reference = add_command(commands, "reference", _reference, DESCRIPTION)
     reference.add_argument(
         "family", nargs="?", choices=FAMILIES, help="only this family (default: all three)"
     )

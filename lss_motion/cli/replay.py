@@ -40,9 +40,7 @@ DIFFERENCES_SHOWN: Final = 5
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    replay = add_command(
-        commands, "replay", _replay, "print a log of lss-play, or run it again", DESCRIPTION
-    )
+    replay = add_command(commands, "replay", _replay, DESCRIPTION)
     replay.add_argument("log", type=Path, metavar="LOG", help="written by lss-play --log")
     replay.add_argument(
         "--servo", type=int, metavar="ID", help="print every line that was sent to this servo"

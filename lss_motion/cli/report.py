@@ -37,9 +37,7 @@ COMPARED: Final = ("timing", "buses", "joints")
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    report = add_command(
-        commands, "report", _report, "print a report of lss-play, or compare two", DESCRIPTION
-    )
+    report = add_command(commands, "report", _report, DESCRIPTION)
     report.add_argument(
         "reports", type=Path, nargs="+", metavar="FILE", help="one report, or two to compare"
     )

@@ -46,7 +46,7 @@ another model, gyre, origin or range.
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    scan = add_command(commands, "scan", _scan, "find ports, baud rates and servos", DESCRIPTION)
+    scan = add_command(commands, "scan", _scan, DESCRIPTION)
     scan.add_argument(
         "port", nargs="?", metavar="PORT", help="serial device or URL (default: the only USB port)"
     )

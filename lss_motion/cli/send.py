@@ -43,9 +43,7 @@ command to every servo (id 254). On sim:// nothing is asked, but the same is ref
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    send = add_command(
-        commands, "send", _send, "send one command to one servo; print the reply", DESCRIPTION
-    )
+    send = add_command(commands, "send", _send, DESCRIPTION)
     send.add_argument("--port", metavar="URL", help=PORT_HELP)
     send.add_argument(
         "--robot",

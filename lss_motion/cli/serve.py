@@ -68,7 +68,6 @@ def add_to(commands: Commands) -> None:
         commands,
         "serve",
         _serve,
-        "run a stage: shows, cues, its operator's page",
         DESCRIPTION,
     )
     serve.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")

@@ -46,7 +46,6 @@ def add_to(commands: Commands) -> None:
         commands,
         "install-service",
         _install,
-        "start a stage with the computer, by systemd",
         DESCRIPTION,
     )
     service.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")

@@ -36,9 +36,7 @@ lss_motion.sim.physics marks an assumption.
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    sim = add_command(
-        commands, "sim", _sim, "simulate a robot behind a pseudo-terminal", DESCRIPTION
-    )
+    sim = add_command(commands, "sim", _sim, DESCRIPTION)
     sim.epilog = f"{_faults_text()}\n{_deviation_text()}"
     add_robot(sim, is_required=True)
     sim.add_argument(

@@ -33,9 +33,7 @@ Exit codes: 0 every figure has keys; 2 the stage file or the folder must change,
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    keys = add_command(
-        commands, "stage-keys", _keys, "make keys for the computers of a stage", DESCRIPTION
-    )
+    keys = add_command(commands, "stage-keys", _keys, DESCRIPTION)
     keys.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
     keys.add_argument(
         "folder",

@@ -44,9 +44,7 @@ INSTALL: Final = 'the studio needs three packages: pip install "lss-motion[studi
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    studio = add_command(
-        commands, "studio", _studio, "see and run a show in a browser", DESCRIPTION
-    )
+    studio = add_command(commands, "studio", _studio, DESCRIPTION)
     studio.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a play list or a robot (.yaml)"
     )

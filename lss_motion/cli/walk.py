@@ -77,9 +77,7 @@ Keys: {KEYS_HELP}.
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    walk = add_command(
-        commands, "walk", _walk, "walk a gait, steered with keys or a gamepad", DESCRIPTION
-    )
+    walk = add_command(commands, "walk", _walk, DESCRIPTION)
     walk.add_argument("file", type=Path, metavar="GAIT", help="a gait file")
     add_robot_options(walk)
     walk.add_argument("--port", metavar="URL", help=PORT_HELP)

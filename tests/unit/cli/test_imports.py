@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.cli.main import GROUPS
+from lss_motion.cli.commands import COMMANDS
+from lss_motion.cli.main import COMPLETION, GROUPS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
@@ -28,6 +29,28 @@ def test_help_imports_no_heavy_library(program) -> None:
     )
     assert "usage:" in done.stdout
     assert done.stdout.splitlines()[-1].strip() == "loaded:"
+
+
+def test_the_list_of_commands_imports_none_of_them() -> None:
+    code = (
+        "import sys\n"
+        "from lss_motion.cli.start import _main as run\n"
+        "try:\n    run()\nexcept SystemExit:\n    pass\n"
+        "print('loaded:', *(name for name in sys.modules if name.startswith('lss_motion.cli.')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--help"], capture_output=True, text=True, check=True
+    )
+    assert all(f"    {name} " in done.stdout.replace("\n", " ") for name in COMMANDS)
+    loaded = done.stdout.splitlines()[-1].split()[1:]
+    assert set(loaded) == {
+        f"lss_motion.cli.{name}" for name in ("commands", "main", "messages", "start")
+    }
+
+
+def test_the_list_of_commands_names_them_all_in_the_order_of_their_modules() -> None:
+    named = [name for names in GROUPS.values() for name in names]
+    assert list(COMMANDS) == [*named, COMPLETION]
 
 
 def test_check_imports_its_own_command_and_no_gait() -> None:
