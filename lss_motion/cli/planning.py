@@ -159,7 +159,7 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion import shows
     from lss_motion.gait import is_gait_file
-    from lss_motion.stage.load import is_stage_file
+    from lss_motion.stage import is_stage_file
     from lss_motion.summaries import (
         advice_lines,
         program_lines,

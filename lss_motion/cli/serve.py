@@ -128,7 +128,8 @@ def _instant(text: str) -> datetime:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    from lss_motion.stage.load import is_stage_file, load_stage
+    from lss_motion.stage import is_stage_file
+    from lss_motion.stage.load import load_stage
 
     if not is_stage_file(arguments.stage):
         raise InputError("is no stage file, which has `stage: NAME`", path=arguments.stage)

@@ -24,3 +24,25 @@ log             what is kept of each night
 morning         what happened in a night, from the log
 ==============  =================================================================================
 """
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.files.source import read_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_STAGE_KEY: Final = re.compile(r"^stage\s*:", re.MULTILINE)
+"""A top-level key that no other file has."""
+
+
+def is_stage_file(path: Path) -> bool:
+    """Return whether a file describes a stage; raise `InputError` if it cannot be read.
+
+    It stands here since `check` asks it of every file: the modules of stages are then imported for
+    stages only.
+    """
+    return path.suffix.lower() in (".yaml", ".yml") and bool(_STAGE_KEY.search(read_text(path)))

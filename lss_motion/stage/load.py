@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names, read_text
+from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause
@@ -57,8 +57,6 @@ if TYPE_CHECKING:
     )
     from lss_motion.stage.model import Side
 
-STAGE_KEY: Final = re.compile(r"^stage\s*:", re.MULTILINE)
-"""A top-level key that no other file has."""
 
 SOURCES: Final[Mapping[Kind, str]] = MappingProxyType(
     {
@@ -115,11 +113,6 @@ def load_stage(path: Path | str) -> Stage:
         return stage
     top, *others = [*own, *loader.errors]
     raise InputError(top.reason, path=top.path, line=top.line, more=[*top.more, *others])
-
-
-def is_stage_file(path: Path) -> bool:
-    """Return whether a file describes a stage; raise `InputError` if it cannot be read."""
-    return path.suffix.lower() in (".yaml", ".yml") and bool(STAGE_KEY.search(read_text(path)))
 
 
 def stage_schema() -> dict[str, Any]:

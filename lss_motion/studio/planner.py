@@ -90,7 +90,7 @@ class Reply:
 def reply_to(request: Request) -> Reply:
     """Return the plan of a request, or what is wrong; raises nothing about the files."""
     from lss_motion.shows import is_program, is_robot_file
-    from lss_motion.stage.load import is_stage_file
+    from lss_motion.stage import is_stage_file
 
     found: dict[str, Any] = {"files": _first_files(request)}
     try:

@@ -71,6 +71,7 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
     assert {"lss_motion.cli.planning", "lss_motion.trajectory.planner"} <= loaded
     others = {f"lss_motion.cli.{group}" for group in GROUPS} - {"lss_motion.cli.planning"}
     needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.gait.load"}
+    needless |= {"lss_motion.stage.load", "lss_motion.stage.model"}
     assert not loaded & (others | needless)
 
 

@@ -12,8 +12,8 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.on_fault import Cause
-from lss_motion.stage import time_of_day
-from lss_motion.stage.load import is_stage_file, load_stage, stage_schema, timecode_s
+from lss_motion.stage import is_stage_file, time_of_day
+from lss_motion.stage.load import load_stage, stage_schema, timecode_s
 from lss_motion.stage.model import Budget, Kind
 
 SCHEMA = Path(__file__).resolve().parents[3] / "lss_motion" / "schema" / "stage.schema.json"
