@@ -244,31 +244,46 @@ def _plain_call(show: Sequence, robot: Robot) -> tuple[Callable[[], None], Calla
 def _processes() -> list[Row]:
     """Whole processes: from the start of Python to the verified plan, and their memory (Linux).
 
-    Of five from the cache the median counts: the processor is shared with others.
+    Of five from the cache the median counts: the processor is shared with others. All have byte
+    code, as on the machine of a user: a process before them writes it.
     """
     rows = []
-    for timing in ("authored", "fastest"):
-        with empty_cache(), tempfile.TemporaryDirectory() as folder:
-            question = Path(folder, "question")
+    with tempfile.TemporaryDirectory() as folder:
+        bytecode = Path(folder, "bytecode")
+        for timing in ("authored", "fastest"):
+            question = Path(folder, timing)
             question.write_bytes(pickle.dumps(bench_show(timing)))
-            taken = [_process(question) for _ in range(6)]
-        (cold_s, cold_mb), cached_s = taken[0], statistics.median(s for s, _ in taken[1:])
-        rows += [
-            Row(what=f"{timing}: whole process, cold", ours=f"{cold_s:.2f} s",
-                target=f"<= {COLD_TARGET_S:g} s", is_met=cold_s <= COLD_TARGET_S),
-            Row(what=f"{timing}: whole process, from the cache", ours=f"{cached_s:.2f} s",
-                target=f"<= {CACHED_TARGET_S:g} s", is_met=cached_s <= CACHED_TARGET_S),
-            Row(what=f"{timing}: memory", ours=f"{cold_mb:.0f} MB",
-                target=f"<= {MEMORY_TARGET_MB:g} MB", is_met=cold_mb <= MEMORY_TARGET_MB),
-        ]  # fmt: skip
+            if not bytecode.exists():
+                with empty_cache():
+                    _process(question, bytecode)
+            with empty_cache():
+                taken = [_process(question, bytecode) for _ in range(6)]
+            rows += _process_rows(timing, taken)
     return rows
 
 
-def _process(question: Path) -> tuple[float, float]:
+def _process_rows(timing: str, taken: list[tuple[float, float]]) -> list[Row]:
+    """Return the rows of a cold process and of those that followed it."""
+    (cold_s, cold_mb), cached_s = taken[0], statistics.median(s for s, _ in taken[1:])
+    return [
+        Row(what=f"{timing}: whole process, cold", ours=f"{cold_s:.2f} s",
+            target=f"<= {COLD_TARGET_S:g} s", is_met=cold_s <= COLD_TARGET_S),
+        Row(what=f"{timing}: whole process, from the cache", ours=f"{cached_s:.2f} s",
+            target=f"<= {CACHED_TARGET_S:g} s", is_met=cached_s <= CACHED_TARGET_S),
+        Row(what=f"{timing}: memory", ours=f"{cold_mb:.0f} MB",
+            target=f"<= {MEMORY_TARGET_MB:g} MB", is_met=cold_mb <= MEMORY_TARGET_MB),
+    ]  # fmt: skip
+
+
+def _process(question: Path, bytecode: Path) -> tuple[float, float]:
     """Return seconds of processor time and megabytes of a process that plans the show."""
     command = [sys.executable, "-c", CHILD, str(question)]
+    environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(bytecode)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before_s = _children_s()
-    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run(
+        command, capture_output=True, text=True, check=True, env=environment
+    ).stdout
     return _children_s() - before_s, float(printed) / 1024.0
 
 

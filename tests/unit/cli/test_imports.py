@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,9 @@ from lss_motion.cli.main import COMPLETION, GROUPS
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
 HEAVY = ("numpy", "scipy", "toppra", "pydantic", "yaml", "serial", "rich", "matplotlib")
+
+SET_BY_CLI = ("OPENBLAS_NUM_THREADS", "PYDANTIC_DISABLE_PLUGINS")
+"""Environment variables that `lss_motion.cli` sets unless the user does."""
 
 
 @pytest.mark.parametrize("program", ["play", "main"])
@@ -56,8 +60,12 @@ def test_the_list_of_commands_names_them_all_in_the_order_of_their_modules() -> 
 def test_check_imports_its_own_command_and_no_gait() -> None:
     code = (
         "import sys\n"
+        "from pathlib import Path\n"
         "from lss_motion.cli.start import main\n"
         "main()\n"
+        "print('threads:', len(list(Path('/proc/self/task').glob('*'))))\n"
+        "import pydantic.plugin._loader as plugins\n"
+        "print('plugins:', plugins._plugins)\n"
         "print('loaded:', *sorted(sys.modules))"
     )
     done = subprocess.run(
@@ -65,9 +73,13 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
         capture_output=True,
         text=True,
         check=True,
+        env={name: text for name, text in os.environ.items() if name not in SET_BY_CLI},
     )
-    assert "every keyframe is on time" in done.stdout
-    loaded = set(done.stdout.splitlines()[-1].split())
+    *checked, threads, plugins, last = done.stdout.splitlines()
+    assert "every keyframe is on time" in checked
+    assert threads in {"threads: 1", "threads: 0"}  # 0: not Linux
+    assert plugins == "plugins: None"  # was not looked for
+    loaded = set(last.split())
     assert {"lss_motion.cli.planning", "lss_motion.trajectory.planner"} <= loaded
     others = {f"lss_motion.cli.{group}" for group in GROUPS} - {"lss_motion.cli.planning"}
     needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.gait.load"}
