@@ -1,8 +1,8 @@
 """The commands `lss-play` and `lss-motion`: arguments in, text and an exit code out.
 
-A module that `main` imports loads nothing heavy (numpy, pydantic, rich) when it is imported:
-`lss-motion --help` builds the parsers of all commands. Heavy imports are inside the functions that
-run a command. A command imports no other command.
+A module that `main` imports loads nothing heavy (numpy, pydantic, rich) when it is imported: the
+help of a command needs none of it. Heavy imports are inside the functions that run a command.
+`lss-motion --help` imports no command. A command imports no other command.
 
 Commands, called by `main`:
 
@@ -11,8 +11,7 @@ beats           `beats`: tempo and beats of music, as a proposal
 calibrate       `calibrate`: find zero and direction of each joint by hand
 completion      `completion`: the script that lets a shell complete commands and options
 configure       `configure`: compare, write, back up and restore the settings of servos
-devices         `devices`: the sound devices of this computer
-doctor          `doctor`: check this computer
+doctor          `doctor`, `devices`: check this computer; its sound devices
 examples        `example`: list the packaged examples, write one
 exchange        `import`, `export`: motion of other tools, and motion for them
 identify        `identify`: measure the response of servos
