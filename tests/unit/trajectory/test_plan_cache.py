@@ -281,3 +281,18 @@ def test_the_closed_form_finds_what_the_samples_find(make_robot, frame):
             with pytest.raises(PlanningError):
                 verify(trajectory, weaker)
             assert not is_within_limits(trajectory, weaker)
+
+
+def test_a_jump_between_two_blocks_of_pieces_is_found(fast_show, make_robot, monkeypatch):
+    def refuse(*_):
+        raise PlanningError("not proved")
+
+    trajectory, robot = plan(fast_show, make_robot()), make_robot()
+    monkeypatch.setattr("lss_motion.trajectory.recheck.verify", refuse)
+    monkeypatch.setattr("lss_motion.trajectory.recheck.BLOCK_PIECES", 1)
+    assert is_within_limits(trajectory, robot)
+    path = trajectory.middle.path
+    coefficients = path.coefficients.copy()
+    coefficients[2, 0] += 0.5
+    jumping = replace(trajectory.middle, path=replace(path, coefficients=coefficients))
+    assert not is_within_limits(replace(trajectory, middle=jumping), robot)
