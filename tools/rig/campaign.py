@@ -1,14 +1,15 @@
 """Faults of many computers by seed, in network namespaces, judged at every servo.
 
-    tools/run python tools/rig/campaign.py [--runs 20] [--seed 0] [--hosts 3] [--keep FOLDER]
+    tools/run python tools/rig/campaign.py [--runs 20] [--seed 0] [--directed] [--keep FOLDER]
 
 A run: three hosts with their simulated robots, a line like Wi-Fi or a plain one, a show, and one
 fault at a random instant: conductor killed, cable cut and healed, host restarted, figure killed,
 clock jumped, stale conductor, storm of messages, wrong keys. Whatever happens, no servo may get
 what breaks a limit, and the last thing that it gets is to hold (`tools/judge`, which shares no code
-with the package); and every host must have logged what it did. The hosts of `SESSION` runs are the
-same processes, unless the fault ends them; robots and ports are new in each. Prints a line a run;
-exits with 1 if one was unsafe or unexplained.
+with the package); and every host must have logged what it did. With `--directed`, cues at random
+figures start the show, and in every second run interrupt it by another one before the fault. The
+hosts of `SESSION` runs are the same processes, unless the fault ends them; robots and ports are new
+in each. Prints a line a run; exits with 1 if one was unsafe or unexplained.
 """
 
 from __future__ import annotations
@@ -55,21 +56,27 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=len(FAULTS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--hosts", type=int, default=3)
+    parser.add_argument("--directed", action="store_true", help="cues of the stage start the show")
     parser.add_argument("--keep", type=Path, help="keep logs and verdicts of bad runs here")
     arguments = parser.parse_args()
     if why := why_not():
         print(why, file=sys.stderr)
         return 2
+    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))  # Tidies up.
     seeds = list(range(arguments.seed, arguments.seed + arguments.runs))
     bad = 0
     while seeds:
         with tempfile.TemporaryDirectory(prefix="lss-rig-") as folder:
-            bad += session(Path(folder), seeds, arguments.hosts, arguments.keep)
+            bad += session(
+                Path(folder), seeds, arguments.hosts, arguments.keep, is_directed=arguments.directed
+            )
     print(f"{arguments.runs} runs, {bad} bad")
     return 1 if bad else 0
 
 
-def session(folder: Path, seeds: list[int], hosts: int, keep: Path | None) -> int:
+def session(
+    folder: Path, seeds: list[int], hosts: int, keep: Path | None, *, is_directed: bool
+) -> int:
     """Take runs from `seeds` and play them with the same hosts; return how many were bad.
 
     A bad one ends the session: the next begins anew.
@@ -80,12 +87,22 @@ def session(folder: Path, seeds: list[int], hosts: int, keep: Path | None) -> in
     has_keys = random.random() < 0.5
     keys = make_keys(folder, hosts) if has_keys else None
     with RigStage(
-        folder, hosts=hosts, seed=seeds[0], line=line, show_s=5, others=others, ppm=100.0, keys=keys
+        folder,
+        hosts=hosts,
+        seed=seeds[0],
+        line=line,
+        show_s=5,
+        others=others,
+        ppm=100.0,
+        keys=keys,
+        is_directed=is_directed,
     ) as rig:
         rig.start_all()
         for fault in faults:
             # Without keys nothing keeps garbage out; with them, it needs a key to come in.
-            if (fault == "wrong keys" and not has_keys) or (fault == "storm" and has_keys):
+            if (fault == "wrong keys" and (is_directed or not has_keys)) or (
+                fault == "storm" and has_keys
+            ):
                 continue
             if not seeds:
                 break
@@ -166,14 +183,34 @@ def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[s
     if fault == "wrong keys":
         wrong_keys(rig, victim, expect, missing)
         return
-    make_ready(rig, missing)
-    mark = len(rig.log("f0"))
-    rig.say("f0", "g")
-    expect("f0", "all stand at the start", START_S, mark)
-    expect("f0", "armed -> playing", 30.0, mark)
+    if rig.is_directed:
+        fire(rig, random, missing)
+    else:
+        make_ready(rig, missing)
+        mark = len(rig.log("f0"))
+        rig.say("f0", "g")
+        expect("f0", "all stand at the start", START_S, mark)
+        expect("f0", "armed -> playing", 30.0, mark)
     time.sleep(random.uniform(0.0, 3.0))
+    if rig.is_directed and random.random() < 0.5:
+        rig.say(random.choice(rig.names), "c more")
+        time.sleep(random.uniform(0.0, 6.0))
     marks = {name: len(rig.log(name)) for name in rig.names}
     DEEDS[fault](rig, victim, random, lambda n, p, s: expect(n, p, s, marks[n]))
+
+
+def fire(rig: RigStage, random: Random, missing: list[str]) -> None:
+    """Fire the cue of the show at some figure, again until it plays."""
+    end, mark = time.monotonic() + START_S, len(rig.log("f0"))
+    while time.monotonic() < end:
+        rig.say(random.choice(rig.names), "c show")
+        again = time.monotonic() + 5.0
+        while time.monotonic() < again:
+            if "armed -> playing" in rig.log("f0")[mark:]:
+                return
+            time.sleep(0.05)
+    missing.append(f"does not play: {rig.states()}")
+    raise TimeoutError
 
 
 def wrong_keys(rig: RigStage, victim: str, expect: Callable[..., int], missing: list[str]) -> None:
@@ -209,7 +246,7 @@ def _conductor(rig: RigStage, victim: str, random: Random, expect: Callable[...,
         expect(victim, "stops: the conductor stopped all|-> ended", 20.0)
         expect("f0", "STOP for all", 5.0)
     rig.start("f0")
-    expect("f0", "-> ready", START_S)
+    expect("f0", "-> (ready|idle)", START_S)
     expect(victim, "follows conductor f0 of epoch", 30.0)
 
 

@@ -44,6 +44,11 @@ defaults: {{model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}}
 joints:
 {joints}
 """
+CUES: Final = """\
+cues:
+  - {cue: show, on: {key: a}, play: show}
+  - {cue: more, on: {key: b}, play: more, start: interrupt}
+"""
 
 
 def may_make_namespaces() -> bool:
@@ -87,8 +92,12 @@ class RigStage:
         keys: Path | None = None,
         is_real_time: bool = False,
         is_separate: bool = False,
+        is_directed: bool = False,
     ) -> None:
-        """`is_separate`: a sequence for each figure, planned alone, in place of one for all."""
+        """`is_separate`: a sequence for each figure, planned alone, in place of one for all.
+
+        `is_directed`: the conductor obeys the cues of the stage (`rig.direct`), not only lines.
+        """
         self.folder, self.seed, self.line = folder, seed, line
         self.names = [f"f{index}" for index in range(hosts)]
         self._tag = f"l{os.getpid() % 100000}"
@@ -99,7 +108,7 @@ class RigStage:
         self._rounds = 0
         self._proxy: subprocess.Popen[bytes] | None = None
         self._others, self._freewheel_s = others, freewheel_s
-        self._is_separate = is_separate
+        self._is_separate, self.is_directed = is_separate, is_directed
         self._write(joints, show_s, loops)
 
     # ---- files
@@ -136,6 +145,7 @@ class RigStage:
         figures = "\n".join(
             f"  {one}: {{robot: robot.yaml{own.get(one, '')}}}" for one in self.names
         )
+        cues = CUES if self.is_directed else ""
         network = f"freewheel_s: {self._freewheel_s}"
         if keys is not None:
             network += f", keys: {json.dumps(str(keys))}"
@@ -143,8 +153,8 @@ class RigStage:
         shows = f"{{{each}}}" if self._is_separate else "show.yaml"
         (self.folder / f"{name}.yaml").write_text(
             f"stage: rig\nfigures:\n{figures}\nconductor: {self.names[0]}\n"
-            f"shows: {{show: {shows}}}\nnetwork: {{{network}}}\n"
-            f"on_fault: {{others: {self._others}}}\n"
+            f"shows: {{show: {shows}, more: {shows}}}\nnetwork: {{{network}}}\n"
+            f"on_fault: {{others: {self._others}}}\n{cues}"
         )
 
     # ---- namespaces
@@ -262,10 +272,11 @@ class RigStage:
         stores = [str(self.folder / f"{name}.{end}") for end in ("store", "port")]
         stage = str(self.folder / f"{name}.yaml")
         more = ["--real-time"] if self._is_real_time else []
+        program = "rig.direct" if self.is_directed and index == 0 else "rig.serve"
         self._processes[name] = self._popen(
             [
                 *in_space(self.space(name)),
-                *[sys.executable, "-m", "rig.serve", stage, name, *stores, *more],
+                *[sys.executable, "-m", program, stage, name, *stores, *more],
             ],
             f"{name}.txt",
             {"LSS_RIG_CLOCK": clock},
