@@ -111,6 +111,17 @@ def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
+def near_runs(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
+    """Return the runs of set flags; those less than `gap` apart are one."""
+    found: list[tuple[int, int]] = []
+    for first, end in runs(flags):
+        if found and first - found[-1][1] < gap:
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((first, end))
+    return found
+
+
 def polyline(times_s: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
     """Return samples, first and last included, between which lines stay within the tolerance.
 

@@ -3,6 +3,12 @@
 `reduced` is the entry. `recorded` has the recording of a joint and the curve through its keys, as
 it will be played. `sample_keys` finds keys whose angles are samples, `fitted_keys` fewer of them
 with fitted angles, at instants that the joints share.
+
+A recording has one ease for all its keys. Measured on 37 motions (Talos, Tiago, OP3, two of
+bit-bots and one of Webots), sampled at 50 Hz in tenths of a degree, the best ease for each
+joint would save 9.0 % of 1,374 keys at 1 degree and 1.5 % of 917 at 5 degrees. The fewest keys
+in each 2 s of each joint, as if a change of ease cost no key, are 17.0 % and 10.7 % less: an
+ease per key saves less.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ class Schedule:
     that the line grants early.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (the options of one fit)
         self,
         references: Mapping[str, Reference],
         robot: Robot,
@@ -80,9 +80,11 @@ class Schedule:
         lines: Mapping[str, LineSchedule] | None = None,
         turn_s: float = TURN_S,
         gives_up: Literal["late", "tight"] | None = None,
+        ratios: Mapping[str, float] | None = None,
     ) -> None:
         """Fit `references`, all on one grid; `seams_s`, `initial`, `turn_s` as for `TimedFit`.
 
+        `ratios` multiplies the tolerance of single timed joints.
         `initial` holds timed joints only. `lines` holds the slots that are reserved already; no
         move is due before the references begin. With `gives_up`, raises `TooLateError` as soon as a
         command is late; `"tight"`: later than its drive allows.
@@ -96,6 +98,7 @@ class Schedule:
         )
         self._lines = {bus: (lines or {}).get(bus, LineSchedule()) for bus in robot.buses}
         self._initial, self._turn_s, self._gives_up = initial or {}, turn_s, gives_up
+        self._ratios = ratios or {}
         self._slots = {
             name: _Slot(
                 robot.joints[name].bus,
@@ -157,7 +160,10 @@ class Schedule:
         names = [joint.name for joint in joints]
         grant = self._grant_of(names)
         own = [references[name] for name in names]
-        limits = [servo_limits(joint, tolerance_deg) for joint in joints]
+        limits = [
+            servo_limits(joint, tolerance_deg * self._ratios.get(joint.name, 1.0))
+            for joint in joints
+        ]
         initial = [self._initial[name] for name in names if name in self._initial]
         moves = TimedFit(own, limits, seams_s, initial, self._turn_s).moves(new_line)
         made = fitted_profiles(moves, own, limits, initial)
@@ -222,7 +228,11 @@ class Candidate:
     gives_up: Literal["late", "tight"] | None
 
     def schedule(
-        self, references: Mapping[str, Reference], tolerance_deg: float, seams_s: Sequence[float]
+        self,
+        references: Mapping[str, Reference],
+        tolerance_deg: float,
+        seams_s: Sequence[float],
+        ratios: Mapping[str, float] | None = None,
     ) -> Schedule:
         """Return the schedule of this candidate; raises `TooLateError` as `Schedule` does."""
         return Schedule(
@@ -232,6 +242,7 @@ class Candidate:
             seams_s,
             turn_s=self.turn_s,
             gives_up=self.gives_up,
+            ratios=ratios,
         )
 
 

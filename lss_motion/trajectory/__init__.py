@@ -19,6 +19,7 @@
 | `keep_time.py`  | joints that keep their time, beside others           | planner                 |
 | `keep_joint.py` | one of them: windows, exact keys, what is given up   | keep_time               |
 | `closest_spline.py` | the closest motion within limits; Clarabel    | keep_joint              |
+| `reserve.py`    | less acceleration where it is used up for seconds    | tracks, layers          |
 | `braking.py`    | back at the author's pace exactly where on time      | catch_up                |
 | `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
 | `smoothing.py`  | no jumps of the acceleration, where that is wanted   | planner, layers         |

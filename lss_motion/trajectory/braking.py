@@ -52,7 +52,7 @@ class Brakes:
     def __init__(self, task: RateTask, window: RateWindow, low: int, high: int) -> None:
         points_s = window.grid_s[low : high + 1]
         segments = task.path.segments_of(0.5 * (points_s[:-1] + points_s[1:]))
-        limits = task.accel_max_deg_s2 * FEASIBLE_RATIO
+        limits = task.accel_limits_deg_s2(segments) * FEASIBLE_RATIO
         left, left_bend = task.path.slopes(points_s[:-1], segments)
         right, right_bend = task.path.slopes(points_s[1:], segments)
         doubled_s = 2.0 * np.diff(points_s)[:, None]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from lss_motion.sequence.model import Keyframe
     from lss_motion.sequence.model import Sequence as Show
+    from lss_motion.trajectory.catch_up import Dues
     from lss_motion.trajectory.keys import Spacing
     from lss_motion.trajectory.model import PathClock
     from lss_motion.trajectory.path import Path
@@ -122,6 +123,13 @@ def marks(
         )
         for keyframe, at_s, kept_s in zip(keyframes, planned_s, held_s, strict=True)
     )
+
+
+def is_met(dues: Dues, clock: PathClock) -> NDArray[np.bool_]:
+    """Return which anchors are met to the millisecond."""
+    anchors_s = np.asarray(dues.anchors_s)
+    late_s = clock.times_of(anchors_s) - dues.authored(anchors_s)
+    return np.asarray(late_s <= ANCHOR_TOLERANCE_S)
 
 
 def check_anchors(

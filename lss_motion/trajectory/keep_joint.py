@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import PlanningError
-from lss_motion.splines import runs
+from lss_motion.splines import near_runs
 from lss_motion.trajectory.closest_spline import (
     GAUSS_SHARES,
     TIE_SLACK_DEG,
@@ -27,6 +27,7 @@ from lss_motion.trajectory.closest_spline import (
 )
 from lss_motion.trajectory.curves import shifted
 from lss_motion.trajectory.model import AskedSpan, GivenUp, MissedKey
+from lss_motion.trajectory.reserve import AT_LIMIT_RATIO, BREAK_S, RELENTLESS_S, RELENTLESS_SHARE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -42,21 +43,6 @@ if TYPE_CHECKING:
 CELL_S: Final = 0.01
 """Cells of the splines are at most this long. Measured: 0.1 to 0.3 % more deviation than with 2 ms;
 half as long takes twice the time."""
-
-RELENTLESS_S: Final = 2.5
-RELENTLESS_SHARE: Final = 0.97
-"""Where the acceleration is at its limit for longer than this, only so much of the limit is used. A
-servo whose ramps are no steeper than its plan cannot make up for what its control loop and its line
-add to each turn. Measured in the simulator, with turns every 0.12 to 0.5 s, largest distance of the
-horn from a plan with all of the limit and from one with 98 %: up to 2 s the same within 0.05 deg,
-after 3 s up to 0.7 and 0.4 deg, after 5 s 2.7 and 0.6. Turns of 73 deg for 10 s: 0.97 deg RMS with
-98 %, 0.17 with 97 %. Full acceleration in between, with less for half a second, is worse."""
-
-AT_LIMIT_RATIO: Final = 0.985
-"""An acceleration above this share of its limit is at it. More than `RELENTLESS_SHARE`."""
-
-TURN_S: Final = 0.025
-"""A change from one limit to the other, which takes one or two cells, does not interrupt it."""
 
 MARGIN_S: Final = 0.5
 """Time around a place over the limits that its window takes at once. Measured: with 0.25 s windows
@@ -313,7 +299,7 @@ class JointFollower:
             is_at_limit = accels > AT_LIMIT_RATIO * self.bounds.accel_deg_s2
             before = np.ones(len(accels)) if wanted.accel_shares is None else wanted.accel_shares
             shares = before.copy()
-            for first, end in _near_runs(is_at_limit, self.grid.cells_of(TURN_S)):
+            for first, end in near_runs(is_at_limit, self.grid.cells_of(BREAK_S)):
                 if (end - first) * wanted.cell_s > RELENTLESS_S:
                     shares[first:end] = RELENTLESS_SHARE
             if np.array_equal(shares, before):
@@ -474,7 +460,7 @@ class JointFollower:
             ).ravel()
             deviation_deg = window.deviation_deg.ravel()
             is_off = np.abs(deviation_deg) > GIVEN_UP_MIN_DEG
-            for first, end in _near_runs(is_off, round(GAP_S / cell_s) * len(GAUSS_SHARES)):
+            for first, end in near_runs(is_off, round(GAP_S / cell_s) * len(GAUSS_SHARES)):
                 own_deg = np.abs(deviation_deg[first:end])
                 worst = first + int(own_deg.argmax())
                 from_s, to_s = float(times_s[first]), float(times_s[end - 1])
@@ -537,14 +523,3 @@ class JointFollower:
                         asked_deg=key.deg,
                         given_deg=key.deg + off_deg,
                     )
-
-
-def _near_runs(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """Return the runs of set flags; those less than `gap` apart are one."""
-    found: list[tuple[int, int]] = []
-    for first, end in runs(flags):
-        if found and first - found[-1][1] < gap:
-            found[-1] = (found[-1][0], end)
-        else:
-            found.append((first, end))
-    return found

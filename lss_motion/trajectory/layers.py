@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -23,6 +24,7 @@ from lss_motion.trajectory.keys import SAME_INSTANT_S
 from lss_motion.trajectory.model import PathMotion, Trajectory, motions_of, with_span
 from lss_motion.trajectory.path import Path, cubics
 from lss_motion.trajectory.plan_cache import PLANNER_VERSION, cached
+from lss_motion.trajectory.reserve import with_reserve
 from lss_motion.trajectory.retime import authored_clock, timed_windows, united
 from lss_motion.trajectory.smoothing import even_clock, jerk_limits, limited, smooth_too
 from lss_motion.trajectory.solver import RateTask
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Cue, Layer, Sequence
-    from lss_motion.trajectory.model import Mark, SlowSpan
+    from lss_motion.trajectory.model import Mark, PathClock, SlowSpan
     from lss_motion.trajectory.solver import RateWindow
 
     FloatArray = NDArray[np.float64]
@@ -378,8 +380,13 @@ def _retimed(
         clock, slowed = even_clock(task, total.joints, jerk_max)
     else:
         dues = Dues(authored=lambda path_s: path_s, held=_held(total), anchors_s=_anchors_s(total))
-        windows = timed_windows(task, dues)
-        clock = authored_clock(task.path, windows, (), dues)
+
+        def follow(task: RateTask) -> tuple[list[RateWindow], PathClock]:
+            found = timed_windows(task, dues)
+            return found, authored_clock(task.path, found, (), dues)
+
+        met = partial(explain.is_met, dues)
+        task, (windows, clock) = with_reserve(task, follow, is_met=met)
     motion = PathMotion(path=task.path, clock=clock)
 
     def moved(times_s: list[float]) -> list[float]:

@@ -141,8 +141,16 @@ class RateTask:
     calm_s: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     slow_s: FloatArray | None = None
     shares: FloatArray | None = None
+    accel_shares: FloatArray | None = None
+    """Share of the acceleration limit that each segment and joint may use; None: all of it."""
     cells_min: int = CELLS_MIN
     """Least number of cells of a segment; smaller for paths with dense knots."""
+
+    def accel_limits_deg_s2(self, segments: NDArray[np.intp]) -> FloatArray:
+        """Return the acceleration that joints may use in segments, (n, joints) or (joints,)."""
+        if self.accel_shares is None:
+            return self.accel_max_deg_s2
+        return np.asarray(self.accel_max_deg_s2 * self.accel_shares[segments])
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +326,7 @@ def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> F
 
     def cells_of(low: int, high: int) -> Cells:
         part = grid.part(low, high)
-        limits = task.accel_max_deg_s2 * (FEASIBLE_RATIO * part.shares[:, None])
+        limits = task.accel_limits_deg_s2(part.segments) * (FEASIBLE_RATIO * part.shares[:, None])
         left, left_bend = path.slopes(part.points_s[:-1], part.segments)
         right, right_bend = path.slopes(part.points_s[1:], part.segments)
         return Cells(left / limits, right / limits, left_bend / limits, right_bend / limits)
@@ -365,13 +373,14 @@ def _worst_use(
     starts, growth = squares[cells], squares[cells + 1] - squares[cells]
     slopes = (growth / (2.0 * steps_s))[:, None]
     worst = np.zeros(len(cells))
+    accel_max = task.accel_limits_deg_s2(segments)
     for share in shares:
         square = np.maximum(starts + share * growth, 0.0)[:, None]
         first, second = task.path.slopes(from_s + share * steps_s, segments)
         second *= square
         second += first * slopes
         first *= np.sqrt(square)
-        for used, limits in ((first, task.speed_max_deg_s), (second, task.accel_max_deg_s2)):
+        for used, limits in ((first, task.speed_max_deg_s), (second, accel_max)):
             np.abs(used, out=used)
             np.divide(used, limits, out=used)
             np.maximum(worst, used.max(axis=1), out=worst)

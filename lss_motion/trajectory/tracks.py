@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from lss_motion.trajectory import explain
 from lss_motion.trajectory.keys import is_timed, named
 from lss_motion.trajectory.model import PathMotion, Trajectory, steady_clock
 from lss_motion.trajectory.path import cubics
+from lss_motion.trajectory.reserve import with_reserve
 from lss_motion.trajectory.retime import (
     FIT_TOLERANCE_S,
     REST_RATIO,
@@ -98,9 +100,15 @@ def planned_layout(layout: Layout) -> Trajectory:
     If the seams of a loop find no common rate, passes end at rest.
     """
     caps: dict[int, float] = {}
+    dues = layout.dues()
     for _ in range(SEAM_ROUNDS_MAX):
-        task = layout.task(caps)
-        windows, clock = _timed(layout, task) if layout.is_timed else _free(layout, task)
+        task, (windows, clock) = with_reserve(
+            layout.task(caps),
+            partial(_timed if layout.is_timed else _free, layout),
+            seams_s=dues.seams_s,
+            loop=layout.sequence.loop,
+            is_met=partial(explain.is_met, dues),
+        )
         rates = _seam_rates(layout, clock)
         if max(rates, default=1.0) - min(rates, default=1.0) <= SEAM_RATE_SLACK:
             return _assembled(layout, task, windows, clock)

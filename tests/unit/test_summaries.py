@@ -188,13 +188,15 @@ def test_json_has_what_is_given_up_and_the_program_keeps_it(robot):
     json.dumps(content)
 
 
-@pytest.mark.parametrize("keeps_time", [frozenset(), frozenset({"base"})])
-def test_a_servo_that_would_fall_behind_is_named_and_keep_time_avoids_it(robot, keeps_time):
+@pytest.mark.parametrize("bound_deg", [14.0, None])
+def test_a_servo_that_would_fall_behind_is_named(robot, bound_deg):
     frames = [Keyframe(at_s=0.15 * k, deg={"base": 30.0 * (k % 2)}) for k in range(90)]
-    sequence = Sequence(name="jaw", keyframes=tuple(frames), keeps_time=keeps_time)
+    sequence = Sequence(name="jaw", keyframes=tuple(frames))
     trajectory = plan(sequence, robot)
     program = compile_program(trajectory, robot)
+    if bound_deg is not None:
+        program = replace(program, bound_deg={"base": bound_deg})
     lines = program_lines(Show(robot=robot, program=program, trajectory=trajectory))
     behind = [line for line in lines if line.startswith("falls behind: joint 'base' by up to ")]
-    assert len(behind) == (not keeps_time)
+    assert len(behind) == (bound_deg is not None)
     assert all("(following_deg 10)" in line and "keep: time" in line for line in behind)
