@@ -11,17 +11,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.cli import served
 from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
 from lss_motion.cli.consent import ALLOW_HELP, state_directory
 from lss_motion.cli.messages import put
-from lss_motion.cli.served import (
-    add_on_operator_lost,
-    add_tls,
-    addresses_json,
-    needing,
-    print_addresses,
-    tls_of,
-)
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -90,8 +83,8 @@ def add_to(commands: Commands) -> None:
         action="store_true",
         help="request real-time priority and locked memory, to be on time beside other programs",
     )
-    add_on_operator_lost(serve, "operator is")
-    add_tls(serve, "serve with TLS")
+    served.add_on_operator_lost(serve, "operator is")
+    served.add_tls(serve, "serve with TLS")
     serve.add_argument(
         "--new-token", action="store_true", help="make a new token; the old one opens nothing more"
     )
@@ -169,7 +162,7 @@ def _sources(stage: Stage, figure: str) -> Sources:
     """Return what opens the triggers at a figure, in a thread of their own."""
     from dataclasses import replace
 
-    with needing(INSTALL):
+    with served.needing(INSTALL):
         from lss_motion.studio.inlets import inlets_thread, require_packages
     listen = stage.figures[figure].listen
     assert listen is not None
@@ -179,7 +172,7 @@ def _sources(stage: Stage, figure: str) -> Sources:
 
 
 def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
-    with needing(INSTALL):
+    with served.needing(INSTALL):
         from lss_motion.studio.inlets import require_packages
         from lss_motion.studio.server import serve
         from lss_motion.studio.stage_service import ServiceOptions, StageService
@@ -188,7 +181,7 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
     from lss_motion.studio.studio import StudioOptions
 
     require_packages(stage)
-    tls = tls_of(arguments)
+    tls = served.tls_of(arguments)
     host, port = stage.listen.http or (None, 0)
     start_at = arguments.start_at
     job = {
@@ -244,9 +237,9 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
 def _tell(studio: Studio, service: StageService, *, is_json: bool) -> None:
     """Print where the stage can be operated, and take keys."""
     if is_json:
-        print_json(addresses_json(studio))
+        print_json(served.addresses_json(studio))
     else:
-        print_addresses(studio, "stage")
+        served.print_addresses(studio, "stage")
         if len(studio.addresses) > 1 and is_at_keyboard():
             code = studio.make_code("operate")
             put(f"stage: code {code[:3]} {code[3:]} lets one device operate, for two minutes")

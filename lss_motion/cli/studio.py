@@ -7,17 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.cli import served
 from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
 from lss_motion.cli.consent import ALLOW_HELP
 from lss_motion.cli.messages import put
-from lss_motion.cli.served import (
-    add_on_operator_lost,
-    add_tls,
-    addresses_json,
-    needing,
-    print_addresses,
-    tls_of,
-)
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -56,15 +49,15 @@ def add_to(commands: Commands) -> None:
         metavar="ADDRESS[:PORT]",
         help="serve this address of the computer, too; :PORT alone sets the port (default: any)",
     )
-    add_tls(studio, "serve that address with TLS")
-    add_on_operator_lost(studio, "operator, or the server, is")
+    served.add_tls(studio, "serve that address with TLS")
+    served.add_on_operator_lost(studio, "operator, or the server, is")
     studio.add_argument("--no-browser", action="store_true", help="print the address only")
     studio.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
     add_json(studio)
 
 
 def _studio(arguments: argparse.Namespace) -> int:
-    with needing(INSTALL):
+    with served.needing(INSTALL):
         from lss_motion.studio.server import serve
     from lss_motion.files.source import read_data
     from lss_motion.studio.desk import DeskOptions
@@ -72,7 +65,7 @@ def _studio(arguments: argparse.Namespace) -> int:
 
     read_data(arguments.file)  # What cannot be read is said here, not in the browser.
     host, port = _address(arguments.listen)
-    tls = tls_of(arguments)
+    tls = served.tls_of(arguments)
     options = StudioOptions(
         path=arguments.file,
         robot_path=arguments.robot,
@@ -94,10 +87,10 @@ def _studio(arguments: argparse.Namespace) -> int:
 
 def _tell(studio: Studio, *, is_json: bool) -> None:
     if is_json:
-        print_json(addresses_json(studio))
+        print_json(served.addresses_json(studio))
         sys.stdout.flush()
         return
-    print_addresses(studio, "studio")
+    served.print_addresses(studio, "studio")
     if len(studio.addresses) > 1:
         _print_code(studio, "operate")
         _make_codes_on_enter(studio)
