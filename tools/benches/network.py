@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.network.figure import Follow
+    from lss_motion.network.peer import Peer
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
@@ -125,24 +126,27 @@ def exchanges() -> list[Exchange]:
     settings = NetworkSettings(
         stage="bench", figure="b", conductor="a", figures=["a", "b"], address=address
     )
-    made: list[Exchange] = []
     try:
         with Peer(settings) as peer:
-            peer.subscribe("clock/b")
-            end = time.monotonic() + 60.0
-            while len(made) < EXCHANGES and time.monotonic() < end:
-                question = ClockQuestion(asked_ns=time.monotonic_ns())
-                peer.send("figure/b/clock", packed(question))
-                for arrival in peer.take(0.1):
-                    got = parse(ClockAnswer, arrival.content)
-                    if got.asked_ns == question.asked_ns:
-                        made.append(
-                            Exchange(got.asked_ns, got.received_ns, got.answered_ns, arrival.at_ns)
-                        )
-                time.sleep(0.004)
+            return exchanged_with(peer, "b", EXCHANGES)
     finally:
         other.kill()
         other.wait()
+
+
+def exchanged_with(peer: Peer, figure: str, count: int, within_s: float = 60.0) -> list[Exchange]:
+    """Ask `count` times for the conductor's clock, as `figure`; return the exchanges."""
+    made: list[Exchange] = []
+    peer.subscribe(f"clock/{figure}")
+    end = time.monotonic() + within_s
+    while len(made) < count and time.monotonic() < end:
+        question = ClockQuestion(asked_ns=time.monotonic_ns())
+        peer.send(f"figure/{figure}/clock", packed(question))
+        for arrival in peer.take(0.1):
+            got = parse(ClockAnswer, arrival.content)
+            if got.asked_ns == question.asked_ns:
+                made.append(Exchange(got.asked_ns, got.received_ns, got.answered_ns, arrival.at_ns))
+        time.sleep(0.004)
     return made
 
 

@@ -33,24 +33,15 @@ with Peer(NetworkSettings(stage="rig", figure="f0", conductor="f0", figures=["f0
     sys.stdin.read()
 """
 ASKER = """
-import json, sys, time
-from lss_motion.network.messages import ClockAnswer, ClockQuestion, packed, parse
+import json, sys
+from dataclasses import astuple
+from benches.network import exchanged_with
 from lss_motion.network.peer import Peer
 from lss_motion.network.settings import NetworkSettings
-made, count = [], int(sys.argv[2])
 with Peer(NetworkSettings(stage="rig", figure="f1", conductor="f0", figures=["f0", "f1"],
                           address=sys.argv[1], is_trusted=True)) as peer:
-    peer.subscribe("clock/f1")
-    end = time.monotonic() + 120.0
-    while len(made) < count and time.monotonic() < end:
-        question = ClockQuestion(asked_ns=time.monotonic_ns())
-        peer.send("figure/f1/clock", packed(question))
-        for arrival in peer.take(1.0):
-            got = parse(ClockAnswer, arrival.content)
-            if got.asked_ns == question.asked_ns:
-                made.append([got.asked_ns, got.received_ns, got.answered_ns, arrival.at_ns])
-        time.sleep(0.003)
-print(json.dumps(made))
+    made = exchanged_with(peer, "f1", int(sys.argv[2]), 120.0)
+print(json.dumps([astuple(one) for one in made]))
 """
 
 
