@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import threading
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import Physics, ServoSpec
-from lss_motion.sim.pty import serve_buses
+from tests.served_bus import served_bus
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 NO_WEBGL = """
@@ -106,17 +105,5 @@ def two(tmp_path):
     port = tmp_path / "port"
     (tmp_path / "two.yaml").write_text(ROBOT.replace("PORT", str(port)), encoding="utf-8")
     (tmp_path / "show.yaml").write_text(json.dumps(SHOW), encoding="utf-8")
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, port),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-    try:
-        assert ready.wait(5.0)
+    with served_bus(bus, port):
         yield tmp_path / "show.yaml", bus
-    finally:
-        stop.set()
-        thread.join(5.0)
-        assert not thread.is_alive()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,8 +14,8 @@ from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.port import SimPort
-from lss_motion.sim.pty import serve_buses
 from tests.joints import joint
+from tests.served_bus import served_bus
 
 if TYPE_CHECKING:
     from lss_motion.runtime.clock import Clock
@@ -66,20 +65,10 @@ def way(request, tmp_path):
         yield Way(port, clock)
         port.close()
         return
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, tmp_path / "port"),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-    assert ready.wait(5.0)
-    serial = SerialPort(str(tmp_path / "port"), 115200)
-    yield Way(serial, MonotonicClock())
-    serial.close()
-    stop.set()
-    thread.join(5.0)
-    assert not thread.is_alive()
+    with served_bus(bus, tmp_path / "port"):
+        serial = SerialPort(str(tmp_path / "port"), 115200)
+        yield Way(serial, MonotonicClock())
+        serial.close()
 
 
 def test_nothing_is_read_before_something_was_asked(way):

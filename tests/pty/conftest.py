@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import Physics, ServoSpec
-from lss_motion.sim.pty import serve_buses
+from tests.served_bus import served_bus
 
 ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
 FAMILIES = {
@@ -47,20 +46,8 @@ def on_terminal(tmp_path, monkeypatch):
             faults=faults,
         )
         bus.record()
-        stop, ready = threading.Event(), threading.Event()
-        thread = threading.Thread(
-            target=serve_buses,
-            args=({"main": bus}, Path("port")),
-            kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-        )
-        thread.start()
-        try:
-            assert ready.wait(5.0)
+        with served_bus(bus, Path("port")):
             yield bus
-        finally:
-            stop.set()
-            thread.join(5.0)
-            assert not thread.is_alive()
 
     return serve
 

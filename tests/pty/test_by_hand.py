@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import termios
-import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -22,7 +21,7 @@ from lss_motion.robot.load import load_robot
 from lss_motion.sequence.load import load_sequence
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.hand import Hand
-from lss_motion.sim.pty import serve_buses
+from tests.served_bus import served_bus
 
 pytestmark = pytest.mark.realtime
 
@@ -47,24 +46,8 @@ def simulated(folder, hand=None):
     (folder / "robot.yaml").write_text(ROBOT)
     bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1, hand=hand)
     bus.record()
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, folder / "port"),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-
-    def unplug():
-        stop.set()
-        thread.join(5.0)
-        assert not thread.is_alive()
-
-    try:
-        assert ready.wait(5.0)
-        yield bus, unplug
-    finally:
-        unplug()
+    with served_bus(bus, folder / "port") as served:
+        yield bus, served.unplug
 
 
 def _own_the_terminal():

@@ -11,8 +11,6 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -21,11 +19,8 @@ from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.pty import serve_buses
+from tests.served_bus import served_bus
 from tests.timed_moves import is_move
-
-if TYPE_CHECKING:
-    from lss_motion.sim.bus import SimBus
 
 pytestmark = pytest.mark.realtime
 
@@ -56,40 +51,14 @@ def folder(tmp_path):
     return tmp_path
 
 
-@dataclass
-class Served:
-    """A simulated bus behind a pseudo-terminal, until it is unplugged."""
-
-    bus: SimBus
-    path: str
-    stop: threading.Event
-    thread: threading.Thread
-
-    def unplug(self):
-        self.stop.set()
-        self.thread.join(5.0)
-        assert not self.thread.is_alive()
-
-
 @contextmanager
 def simulated(folder, bus=None):
     """Serve the robot, or a bus of it that was unplugged, behind a pseudo-terminal."""
     if bus is None:
         bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
         bus.record()
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, folder / "port"),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-    served = Served(bus, str(folder / "port"), stop, thread)
-    try:
-        assert ready.wait(5.0)
+    with served_bus(bus, folder / "port") as served:
         yield served
-    finally:
-        served.unplug()
 
 
 @contextmanager

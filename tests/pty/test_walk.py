@@ -16,8 +16,8 @@ import pytest
 
 from lss_motion import shows
 from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.pty import serve_buses
 from tests.pty.test_careful import read_until
+from tests.served_bus import ServedBus
 from tests.timed_moves import is_move
 
 pytestmark = pytest.mark.realtime
@@ -44,14 +44,7 @@ def walking(folder, *options, consent="--yes", stderr=subprocess.PIPE):
     _, robot = shows.load_gait(EXAMPLE, None)
     bus = bus_from_robot(robot, "main", seed=1)
     bus.record()
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, folder / "port"),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-    assert ready.wait(5.0)
+    served = ServedBus(bus, folder / "port")
     keyboard, terminal = pty.openpty()
     command = [sys.executable, "-c", IN_FRONT, "walk", str(gait), "--port",
                str(folder / "port"), *options]  # fmt: skip
@@ -69,8 +62,7 @@ def walking(folder, *options, consent="--yes", stderr=subprocess.PIPE):
         process.communicate()
         os.close(keyboard)
         os.close(terminal)
-        stop.set()
-        thread.join(5.0)
+        served.unplug()
 
 
 def wait_for(process, text):

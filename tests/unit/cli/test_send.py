@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import threading
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -17,7 +16,7 @@ from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, ServoSpec
-from lss_motion.sim.pty import serve_buses
+from tests.served_bus import served_bus
 
 pytestmark = pytest.mark.realtime
 
@@ -62,19 +61,8 @@ def served(link, *specs, faults=()):
         faults=faults,
     )
     bus.record()
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, link),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-    try:
-        assert ready.wait(5.0)
+    with served_bus(bus, link):
         yield bus
-    finally:
-        stop.set()
-        thread.join(5.0)
 
 
 @pytest.mark.parametrize(

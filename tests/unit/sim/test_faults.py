@@ -310,6 +310,33 @@ def test_a_faults_file_has_rows_with_time_servo_and_kind(tmp_path):
         ("{kind: lost_command, servo: 5}", "for one servo use 'deaf'"),
         ("{kind: deaf, late_s: 1}", "'late_s' says nothing about deaf"),
         ("{kind: deaf, ratio: 1.5}", "must be 1 or less"),
+        ("{kind: clogged, at_s: 1}", "clogged needs 'until_s'"),
+        ("{kind: oversleep}", "oversleep needs 'late_s'"),
+        (
+            "{kind: clock_drift, drift_ppm: 10, ratio: 0.5}",
+            "'ratio' says nothing about clock_drift",
+        ),
+        ("{kind: wrong_scale, setting: SD}", "wrong_scale needs 'scale_ratio'"),
+        ("{kind: second_master, text: '#5QD'}", "second_master needs 'every_s'"),
+        ("{kind: second_master, text: '#5QD', every_s: 1, servo: 5}", "befalls the line"),
+        ("{kind: deaf, deaf_s: 0.1}", "'deaf_s' says nothing about deaf"),
+        ("{kind: unplugged, servo: 5}", "befalls the line"),
+        ("{kind: stored, servo: 5}", "stored needs 'settings'"),
+        ("{kind: stored, servo: 5, settings: {GG: 1}}", "'GG' is no setting that LSS stores"),
+        ("{kind: stored, servo: 5, settings: {G: 2}}", "G"),
+        ("{kind: reset, settings: {G: -1}}", "'settings' says nothing about reset"),
+        ("{kind: twin}", "twin needs 'servo'"),
+        ("{kind: twin, servo: 5, at_s: 1}", "'at_s' says nothing about twin"),
+        ("{kind: low_voltage}", "low_voltage needs 'supply_v'"),
+        ("{kind: low_voltage, supply_v: 9, servo: 5}", "befalls the line"),
+        ("{kind: input, servo: 203}", "input needs 'raw', or 'distance_mm' with 'sensor'"),
+        ("{kind: input, servo: 203, raw: 1, distance_mm: 5}", "input needs 'raw', or"),
+        ("{kind: input, servo: 203, distance_mm: 5}", "'distance_mm' and 'sensor' together"),
+        (
+            "{kind: input, servo: 203, distance_mm: 5, sensor: GP2Y0A41SK}",
+            "did you mean 'GP2Y0A41SK0F'",
+        ),
+        ("{kind: input, servo: 203, raw: 1024}", "must be 1023 or less"),
     ],
 )
 def test_a_wrong_row_is_named_with_its_line(tmp_path, row, words):
@@ -440,47 +467,6 @@ def test_a_bus_survives_random_faults_and_answers_when_they_are_over(make_host, 
     host.say("#254RESET")
     host.wait_s(1.5)
     assert [host.ask("#5QG"), host.ask("#6QG")] == ["*5QG1|", "*6QG1|"]
-
-
-@pytest.mark.parametrize(
-    ("row", "words"),
-    [
-        ("{kind: clogged, at_s: 1}", "clogged needs 'until_s'"),
-        ("{kind: oversleep}", "oversleep needs 'late_s'"),
-        (
-            "{kind: clock_drift, drift_ppm: 10, ratio: 0.5}",
-            "'ratio' says nothing about clock_drift",
-        ),
-        ("{kind: wrong_scale, setting: SD}", "wrong_scale needs 'scale_ratio'"),
-        ("{kind: second_master, text: '#5QD'}", "second_master needs 'every_s'"),
-        ("{kind: second_master, text: '#5QD', every_s: 1, servo: 5}", "befalls the line"),
-        ("{kind: deaf, deaf_s: 0.1}", "'deaf_s' says nothing about deaf"),
-        ("{kind: unplugged, servo: 5}", "befalls the line"),
-        ("{kind: stored, servo: 5}", "stored needs 'settings'"),
-        ("{kind: stored, servo: 5, settings: {GG: 1}}", "'GG' is no setting that LSS stores"),
-        ("{kind: stored, servo: 5, settings: {G: 2}}", "G"),
-        ("{kind: reset, settings: {G: -1}}", "'settings' says nothing about reset"),
-        ("{kind: twin}", "twin needs 'servo'"),
-        ("{kind: twin, servo: 5, at_s: 1}", "'at_s' says nothing about twin"),
-        ("{kind: low_voltage}", "low_voltage needs 'supply_v'"),
-        ("{kind: low_voltage, supply_v: 9, servo: 5}", "befalls the line"),
-        ("{kind: input, servo: 203}", "input needs 'raw', or 'distance_mm' with 'sensor'"),
-        ("{kind: input, servo: 203, raw: 1, distance_mm: 5}", "input needs 'raw', or"),
-        ("{kind: input, servo: 203, distance_mm: 5}", "'distance_mm' and 'sensor' together"),
-        (
-            "{kind: input, servo: 203, distance_mm: 5, sensor: GP2Y0A41SK}",
-            "did you mean 'GP2Y0A41SK0F'",
-        ),
-        ("{kind: input, servo: 203, raw: 1024}", "must be 1023 or less"),
-    ],
-)
-def test_a_wrong_row_of_the_line_the_host_or_an_input_is_named_too(tmp_path, row, words):
-    path = tmp_path / "faults.yaml"
-    path.write_text(f"faults:\n  - {{kind: deaf}}\n  - {row}\n")
-    with pytest.raises(InputError) as caught:
-        load_faults(path)
-    assert f"{path}:3:" in str(caught.value)
-    assert words in str(caught.value)
 
 
 def test_a_distance_before_a_sensor_is_its_raw_value(tmp_path):

@@ -1,0 +1,41 @@
+"""A simulated bus behind a pseudo-terminal, served by a thread of the test."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+
+from lss_motion.sim.pty import serve_buses
+
+
+class ServedBus:
+    """A bus behind the port `link`, until it is unplugged."""
+
+    def __init__(self, bus, link):
+        self.bus = bus
+        self.path = str(link)
+        self._stop, ready = threading.Event(), threading.Event()
+        self._thread = threading.Thread(
+            target=serve_buses,
+            args=({"main": bus}, link),
+            kwargs={"announce": lambda _: ready.set(), "should_stop": self._stop.is_set},
+        )
+        self._thread.start()
+        if not ready.wait(5.0):
+            self.unplug()
+            raise TimeoutError(f"no port {link} after 5 s")
+
+    def unplug(self):
+        self._stop.set()
+        self._thread.join(5.0)
+        assert not self._thread.is_alive()
+
+
+@contextmanager
+def served_bus(bus, link):
+    """Serve a bus; gives it, and what unplugs it before the end."""
+    served = ServedBus(bus, link)
+    try:
+        yield served
+    finally:
+        served.unplug()
