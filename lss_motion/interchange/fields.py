@@ -124,6 +124,14 @@ class JsonFields:
         raise InputError(reason, path=self.path)
 
 
+CUT_OFF: Final = (
+    "no element found",
+    "unclosed token",
+    "partial character",
+    "unclosed CDATA section",
+)
+"""What expat calls a text that ends too early."""
+
 NUMBER_MAX_CHARS: Final = 40
 """A longer number is not a measurement."""
 
@@ -217,4 +225,6 @@ def parse_xml(
         parser.Parse(lines.text.encode(), True)  # noqa: FBT003  expat's own order
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
+        if reason in CUT_OFF:
+            reason += ": it was cut off, copy it again"
         raise InputError(f"not XML: {reason}", path=lines.path, line=error.lineno) from error

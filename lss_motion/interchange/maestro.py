@@ -54,7 +54,9 @@ class _Content:
         elif tag == "Sequence":
             self.sequences.append((attributes.get("name", ""), []))
         elif tag == "Frame" and self.sequences:
-            duration_ms = lines.whole(attributes.get("duration", ""), line, DURATION_MAX_MS)
+            if "duration" not in attributes:
+                lines.refuse(line, "this frame has no duration; give it one in milliseconds")
+            duration_ms = lines.whole(attributes["duration"], line, DURATION_MAX_MS)
             self.open_frame = _Frame(line, attributes.get("name", ""), duration_ms)
             self.sequences[-1][1].append(self.open_frame)
 

@@ -225,7 +225,9 @@ def _read_page(lines: TextLines, page: _TextPage, key: str, value: str, number: 
 def _row(lines: TextLines, text: str, number: int, count: int) -> list[float]:
     words = text.split()
     if len(words) != count:
-        lines.refuse(number, f"{len(words)} values, but {count} are required")
+        is_last = number == max((at for at, _ in lines.numbered()), default=0)
+        advice = ": the file was cut off, copy it again" if is_last else ""
+        lines.refuse(number, f"{len(words)} values, but {count} are required{advice}")
     # Windows writes the times with the decimal sign of its language.
     return [lines.number(word, number, has_commas=True) for word in words]
 

@@ -45,9 +45,9 @@ def test_maestro_targets_are_quarters_of_microseconds_reached_at_the_end_of_a_fr
 @pytest.mark.parametrize(
     ("old", "new", "line", "reason"),
     [
-        ("</UscSettings>", "", 18, "not XML"),
+        ("</UscSettings>", "", 18, "it was cut off, copy it again"),
         ('duration="500">4000', 'duration="soon">4000', 9, "'soon' is not a whole number"),
-        ('duration="500">4000', ">4000", 9, "'' is not a whole number"),
+        ('duration="500">4000', ">4000", 9, "this frame has no duration"),
         ('version="1">', 'version="1">&bomb;', 2, "not XML"),
         ("<UscSettings", "<!DOCTYPE a [<!ENTITY b 'c'>]><UscSettings", 2, "document type"),
     ],

@@ -57,6 +57,7 @@ def test_the_other_text_pages_are_read_if_one_is_wrong() -> None:
     [
         (mtn(step(1, 2)).removesuffix("page_end\n"), 9, "no page_end: the file is cut short"),
         (mtn("step=1 2 3\n"), 13, "3 values, but 28 are required"),
+        (mtn(step(1, 2))[:-20], 13, "the file was cut off, copy it again"),
         (mtn(step(1, 2), play="0 0 1 0 32"), 12, "speed 0 must be more than 0"),
         (mtn(step(1, 2), play="0 0 1e9 1 32"), 12, "repeat 1e+09 is not in 0 to 255"),
         (mtn(step(1, 2), kind="motor_type=0 2" + " 0" * 24 + "\n"), 4, "servo 1 is of type 2"),
