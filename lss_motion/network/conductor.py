@@ -101,6 +101,8 @@ class Conductor:
         self._start_s = 0.0
         self._notes: list[str] = []
         self._begun_ns: int | None = None
+        self._refused = ""
+        """The other conductor that was refused last."""
 
     # ---- what is sent
 
@@ -157,9 +159,20 @@ class Conductor:
             if not is_alive:
                 seat.heard_ns = None
 
-    def take_beat(self, beat: Beat) -> None:
-        """Take the beat of another conductor of this stage: one of the two is wrong."""
+    def take_beat(self, beat: Beat, now_ns: int) -> None:
+        """Take the beat of another conductor of this stage: one of the two is wrong.
+
+        While figures play what this one says, it is the other one, however late that began.
+        """
         if beat.instance == self.instance or self.superseded:
+            return
+        if self.wanted == "armed" and self._is_followed(now_ns):
+            if self._refused != beat.instance:
+                self._refused = beat.instance
+                self._notes.append(
+                    f"another conductor ({beat.conductor}, epoch {beat.epoch}) is refused: figures "
+                    f"play what this one says; end the other one"
+                )
             return
         if (beat.epoch, beat.instance) > (self.epoch, self.instance):
             self.superseded = (
@@ -167,6 +180,16 @@ class Conductor:
                 f"this one (epoch {self.epoch}) conducts no more"
             )
             self._notes.append(self.superseded)
+
+    def _is_followed(self, now_ns: int) -> bool:
+        """Return whether a figure of another computer has just told that it follows this one."""
+        return any(
+            seat.status is not None
+            and seat.status.follows == self.instance
+            and not seat.is_lost(now_ns)
+            for name, seat in self.seats.items()
+            if name != self.name
+        )
 
     # ---- what a person or a cue wants
 

@@ -293,7 +293,7 @@ class Host:
 
     def _take_beat(self, beat: Beat, at_ns: int) -> None:
         if self.conductor is not None:
-            self.conductor.take_beat(beat)
+            self.conductor.take_beat(beat, at_ns)
         self.figure.take_beat(beat, at_ns)
         if self.figure.beat is not None and self.figure.beat.instance != self._clock_of:
             self._clock_of = self.figure.beat.instance  # Another process, perhaps computer.

@@ -205,6 +205,19 @@ def test_second_and_stale_conductors_are_refused():
     assert world.conductor.leg == leg
 
 
+def test_a_second_conductor_that_began_later_does_not_end_the_show_of_the_first():
+    world = playing()
+    conductor = world.conductor
+    later = forged(world, instance="f" * 16, epoch=9, wanted="nothing", leg=None)
+    conductor.take_beat(later, world.now_ns)
+    conductor.take_beat(later, world.now_ns)
+    world.run(0.5)
+    assert conductor.superseded == ""
+    assert " ".join(world.notes).count("is refused: figures play what this one says") == 1
+    conductor.take_beat(later, world.now_ns + 2 * 10**9)  # It slept, and no figure follows it.
+    assert "conducts no more" in conductor.superseded
+
+
 def test_a_conductor_that_comes_back_from_the_past_conducts_no_more():
     world = playing(show_s=60.0)
     stale = forged(world)
