@@ -100,6 +100,8 @@ def _shares(
     is_at_limit = np.zeros((len(times_s), accel.shape[1]), dtype=np.bool_)
     is_at_limit[near] = accel > AT_LIMIT_RATIO * task.accel_max_deg_s2
     samples, joints = _relentless(is_at_limit[order], order)
+    if not len(samples):
+        return None
     segments = task.path.segments_of(path_s[samples])
     before = task.accel_shares
     shares = np.ones((len(task.path.knots_s) - 1, accel.shape[1])) if before is None else before
