@@ -136,6 +136,22 @@ def test_a_servo_waited_for_too_often_gets_the_other_steps_of_its_ladder(kit):
     assert taken == [[FaultStep.WARN], [FaultStep.LIMP], []]
 
 
+def test_a_silent_servo_that_was_not_waited_for_is_resumed_when_it_answers_so_often(kit):
+    climb = ladder(kit, on_fault={Cause.SILENT: (FaultStep.WARN,)})
+    climb.judge({SILENT: "is silent"}, 0)
+    assert climb.answering_again({SILENT}) == set(), "it is silent still"
+    resumed = [climb.answering_again(()) for _ in range(RESUMES_MAX + 1)]
+    assert resumed == [{"j0"}] * RESUMES_MAX + [set()]
+
+
+def test_a_silent_servo_is_not_resumed_where_a_restart_ends_the_show(kit):
+    climb = ladder(
+        kit, on_fault={Cause.SILENT: (FaultStep.WARN,), Cause.RESTARTED: (FaultStep.HOLD,)}
+    )
+    climb.judge({SILENT: "is silent"}, 0)
+    assert climb.answering_again(()) == set()
+
+
 def test_of_each_trouble_the_farthest_step_is_kept_with_its_latest_words(kit):
     climb = ladder(kit)
     assert climb.note("j0", Cause.SILENT, "is silent", FaultStep.HOLD).step is FaultStep.HOLD
