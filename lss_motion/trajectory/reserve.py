@@ -35,7 +35,7 @@ RELENTLESS_SHARE: Final = 0.98
 Measured in the simulator with 8 motions of 10 to 35 s, of LSS and LSS-PRO, 90 to 360 deg/s, 300 to
 900 deg/s², turns every 0.32 to 0.9 s, planned by either rule for lateness. Largest distance of a
 horn from its plan with all of the limit up to 10 deg (slowed) and 12 deg (keep: time); with 99.5 %
-0.7 and 12, with 99 % 1.0 and 10, with 98 % 0.7 and 0.6, with 97 % 0.7 and 0.6. Up to 2 s all are
+1.0 and 12, with 99 % 1.0 and 10, with 98 % 0.7 and 0.6, with 97 % 0.7 and 0.6. Up to 2 s all are
 alike. Full acceleration in between, with less for half a second, is worse."""
 
 AT_LIMIT_RATIO: Final = 0.97
