@@ -44,6 +44,11 @@ GRACE_NS: Final = 5 * NS_PER_S
 """Figures that have not connected are named after this time."""
 NOTE_AGAIN_NS: Final = NS_PER_S
 """A figure that comes and goes is named no more often. What it does is not delayed by that."""
+TWICE_AGAIN_NS: Final = 60 * NS_PER_S
+"""A figure that two processes serve is named no more often: they answer in turn, 10 a second."""
+PROCESSES_MAX: Final = 8
+"""Processes of one figure that are told apart; those of earlier restarts are forgotten."""
+TWICE: Final = "two processes serve it: end one of them (`lss-motion serve … --figure`)"
 PLAYABLE: Final = frozenset({"armed", "playing"})
 
 
@@ -61,6 +66,15 @@ class FigureSeat:
     noted: str = ""
     """The last problem that a person was told, without its numbers."""
     noted_ns: int = -NOTE_AGAIN_NS
+    last_words: dict[str, str] = field(default_factory=dict)
+    """The last text of each process that has served it, the oldest process first."""
+    is_twice_ns: int | None = None
+    """When it was last seen that two processes serve it."""
+    told_twice_ns: int | None = None
+
+    def is_twice(self, now_ns: int) -> bool:
+        """Return whether two processes serve it, and answer in turn."""
+        return self.is_twice_ns is not None and now_ns - self.is_twice_ns <= LOST_NS
 
     def is_lost(self, now_ns: int) -> bool:
         """Return whether nothing has arrived from it for `LOST_NS`."""
@@ -133,12 +147,24 @@ class Conductor:
             return
         if status.epoch >= self.epoch and status.follows not in ("", self.instance):
             self._meet(status)
-        before = seat.status
-        if before is not None and before.instance != status.instance:
-            self._notes.append(f"figure {seat.name} has started again")
-        if status.text and (before is None or before.text != status.text):
+        if seat.status is not None and seat.status.instance != status.instance:
+            self._meet_process(seat, status.instance, now_ns)
+        if status.text and seat.last_words.get(status.instance) != status.text:
             self._notes.append(f"figure {seat.name}: {status.text}")
+        seat.last_words[status.instance] = status.text
+        while len(seat.last_words) > PROCESSES_MAX:
+            del seat.last_words[next(iter(seat.last_words))]
         seat.status, seat.heard_ns = status, now_ns
+
+    def _meet_process(self, seat: FigureSeat, instance: str, now_ns: int) -> None:
+        """Note that another process serves a figure. One that was there before: two do at once."""
+        if instance not in seat.last_words:
+            self._notes.append(f"figure {seat.name} has started again")
+            return
+        seat.is_twice_ns = now_ns
+        if seat.told_twice_ns is None or now_ns - seat.told_twice_ns >= TWICE_AGAIN_NS:
+            seat.told_twice_ns = now_ns
+            self._notes.append(f"figure {seat.name}: {TWICE}")
 
     def _meet(self, status: Status) -> None:
         """Begin a later epoch than that of the conductor before this one, or give way to it."""
@@ -323,6 +349,8 @@ class Conductor:
         for seat in self._cast_seats():
             if problem := self._problem(seat, now_ns):
                 found.append(f"{seat.name}: {problem}")
+            elif seat.is_twice(now_ns):
+                found.append(f"{seat.name}: {TWICE}")
             elif seat.status is not None and seat.status.state != "ready":
                 found.append(f"{seat.name} is {seat.status.state}")
         return found

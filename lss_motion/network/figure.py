@@ -110,8 +110,6 @@ class Follow:
 class StopPlayer:
     """Brake within the limits, hold, and end."""
 
-    why: str
-
 
 Action = Fetch | Verify | Arm | Follow | StopPlayer
 
@@ -366,9 +364,11 @@ class Figure:
 
     def _stop(self, now_ns: int, actions: list[Action], why: str, beat: Beat) -> FigureState:
         if self.player.phase in ("starting", "standing", "playing"):
+            if self._stopped_ns is None:
+                self._notes.append(f"stops: {why}")
             if self._stopped_ns is None or now_ns - self._stopped_ns >= STOP_AGAIN_NS:
                 self._stopped_ns = now_ns
-                actions.append(StopPlayer(why))
+                actions.append(StopPlayer())
             return "stopping"
         if self.player.phase == "stopping":
             return "stopping"

@@ -454,7 +454,6 @@ class Host:
             case Follow():
                 self.player.follow(action.instant_ns, action.show_s, action.rate)
             case StopPlayer():
-                self.log(f"stops: {action.why}")
                 self.player.stop()
 
     def _verify(self, plan: str) -> None:

@@ -144,6 +144,37 @@ def test_a_host_that_starts_again_rejoins():
     assert "f3 has started again" in " ".join(world.notes)
 
 
+def test_a_figure_that_two_processes_serve_is_named_once_a_minute_and_cannot_start():
+    world = World(3, seed=4)
+    conductor, host = world.conductor, world.hosts["f1"]
+    conductor.load(world.cast)
+    assert world.run(10.0, lambda: world.states() == {"ready"})
+    status = host.figure.status(host.now_ns())
+    before = len(world.notes)
+    for count in range(900):
+        words = {"instance": "the other one", "text": "the port is in use"} if count % 2 else {}
+        conductor.take_status(status.model_copy(update=words), world.now_ns)
+        world.run(0.1)
+    notes = [note for note in world.notes[before:] if "f1" in note]
+    assert sum("has started again" in note for note in notes) == 1, notes
+    assert sum("the port is in use" in note for note in notes) == 1, notes
+    assert sum("two processes serve it: end one of them" in note for note in notes) == 2, notes
+    assert len(notes) == 4
+    with pytest.raises(InputError, match="f1: two processes serve it"):
+        conductor.arm(world.now_ns)
+    world.run(2.0)
+    conductor.arm(world.now_ns)
+
+
+def test_why_a_figure_stops_is_told_once():
+    world = playing()
+    host = world.hosts["f1"]
+    host.player.tick = lambda _now_ns: PlayerView("playing", 3.0)  # It takes long to stop.
+    world.conductor.stop()
+    world.run(4.0)
+    assert sum("stops: the conductor stopped all" in text for text in host.log) == 1, host.log
+
+
 def test_a_figure_that_fell_is_not_raised_again_in_the_same_run():
     world = playing(others="go_on", show_s=60.0)
     host = world.hosts["f1"]
