@@ -410,6 +410,64 @@ def test_when_all_servos_fall_silent_all_are_held_back(kit):
     assert not any(state.takes_moves for state in desk.joint_states.values())
 
 
+def silent(desk, *ids):
+    """Let some servos answer nothing from now on."""
+    answer = desk._answer
+    desk._coming.clear()
+    desk._answer = lambda command: None if command.servo_id in ids else answer(command)
+
+
+def test_of_servos_that_fall_silent_together_one_that_was_not_polled_is_held_back(kit):
+    """Timeouts of two that rest took all queries; the third had restarted, and got a move."""
+    desk = Desk(*joints(kit, 3), probes={"j2": [Probe("QAA", 60, 100)]})
+    desk.values[3, "QAA"] = 60
+    desk.run(0, S // 2)
+    silent(desk, 1, 2)
+    for number, servo_id in enumerate((1, 2, 1, 2)):
+        assert desk.joint_states["j2"].takes_moves, number
+        desk.scheduler._note_silence("main", servo_id, S // 2 + number)
+    assert not desk.joint_states["j2"].takes_moves
+
+
+def test_two_silent_servos_hold_no_others_back_that_answer(kit):
+    probes = {f"j{i}": [Probe("QAA", 60, 100)] for i in range(6)}
+    desk = Desk(*joints(kit, 6), probes=probes)
+    desk.values |= {(servo_id, "QAA"): 60 for servo_id in range(1, 7)}
+    desk.run(0, S // 2)
+    silent(desk, 1, 2)
+    for at_ns in range(S // 2, S, 2 * MS):
+        desk.run(at_ns, at_ns + 2 * MS)
+        assert all(state.takes_moves for state in list(desk.joint_states.values())[2:])
+    assert not any(desk.joint_states[name].takes_moves for name in ("j0", "j1"))
+
+
+def test_a_servo_that_falls_silent_lets_the_others_of_its_bus_be_examined(kit):
+    desk = watched(kit).run(0, S // 2)
+    silent(desk, 1)
+    doubts = []
+    doubt_all = desk.scheduler.doubt_all
+    desk.scheduler.doubt_all = lambda buses: doubts.append(list(buses)) or doubt_all(buses)
+    desk.run(S // 2, S)
+    assert doubts == [["main"]], "once"
+    assert not desk.joint_states["j0"].takes_moves
+    assert desk.joint_states["j1"].takes_moves
+
+
+def test_a_limp_servo_is_held_back_until_its_settings_are_known(kit):
+    (state,) = joints(kit, 1)
+    desk = Desk(state, probes={"j0": [Probe("QAA", 60, 100)]})
+    desk.values[1, "QAA"] = 60
+    desk.run(0, S // 2)
+    desk.values |= {(1, "Q"): 1, (1, "QAA"): None}
+    for at_ns in range(S // 2, S, MS):
+        desk.run(at_ns, at_ns + MS)
+        if any(ns > S // 2 and word == "Q" for ns, *_, word in desk.asked):
+            break
+    desk.run(at_ns + MS, at_ns + 5 * MS)
+    assert desk.scheduler.watch.doubted == {"j0"}
+    assert not state.takes_moves, "at once"
+
+
 def test_an_lss_that_was_sent_a_move_and_reports_no_target_is_held_back(kit):
     state = kit.state(kit.joint())
     desk = Desk(state, probes={"j0": [Probe("QAA", 60, 100)]})

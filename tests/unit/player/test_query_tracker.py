@@ -276,6 +276,17 @@ def test_an_answer_that_comes_behind_the_next_query_shows_that_the_servo_is_slow
     assert tracker.receive(Reply(5, "QAD", 32), arrival_ns + wait_ns)
 
 
+def test_a_late_answer_to_an_earlier_query_does_not_reject_a_row(tracker, line):
+    now_ns = take_over(tracker, line, 5, (200, 1000) * 16)
+    tracker.send(Command(5, "QDT"), now_ns)
+    tracker.expire(now_ns := tracker.give_up_ns)
+    now_ns = row(tracker, now_ns + STRAY_NS, ("QD", "QD", "QT"))
+    assert tracker.receive(Reply(5, "QDT", 7), now_ns) == []
+    assert all(tracker.receive(Reply(5, "QD", value), now_ns) == [] for value in (1, 2))
+    believed = tracker.receive(Reply(5, "QT", 300), now_ns)
+    assert [reply.value for _, reply in believed] == [1, 2, 300]
+
+
 def test_an_answer_from_long_ago_says_nothing_of_how_slow_a_servo_is(tracker):
     tracker.send(ASK, 0)
     tracker.expire(tracker.give_up_ns)
