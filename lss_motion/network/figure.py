@@ -54,6 +54,8 @@ moves to where the show will be. If that takes longer, the player rejoins later 
 
 KEPT_PLANS: Final = 16
 """So many verified plans are kept ready. Chosen: one of ten minutes with 18 joints has 3 MB."""
+GRACE_NS: Final = 5 * NS_PER_S
+"""Without a conductor for so long after its start, a figure says so."""
 AT_LEISURE: Final = frozenset({"idle", "ready", "playing", "stopped", "ended"})
 """States in which what may be wanted later is fetched and verified, one plan at a time. An idle
 show may play all evening."""
@@ -155,6 +157,9 @@ class Figure:
         self._why = ""
         """Why it stopped by itself."""
         self._is_held = False
+        self._begun_ns: int | None = None
+        self._is_silent = False
+        """Whether it was told that no conductor is there."""
         self._legs: list[NetworkLeg] = []
         self._followed: tuple[int, int] | None = None
         self._notes: list[str] = []
@@ -247,7 +252,19 @@ class Figure:
         if self.state != before:
             about = f": {self.text}" if self.text and self.state in ("out", "stopped") else ""
             self._notes.append(f"{before} -> {self.state}{about}")
+        self._note_silence(now_ns)
         return actions
+
+    def _note_silence(self, now_ns: int) -> None:
+        """Tell once that no conductor has been received: wrong keys, too, are only silence."""
+        if self._begun_ns is None:
+            self._begun_ns = now_ns
+        if self.beat is None and not self._is_silent and now_ns - self._begun_ns > GRACE_NS:
+            self._is_silent = True
+            self._notes.append(
+                f"nothing arrives from the conductor {self.conductor}: is it served, are address, "
+                f"cable and keys right?"
+            )
 
     def take_notes(self) -> list[str]:
         """Return what happened since the last call, for the log."""

@@ -166,6 +166,21 @@ def test_a_figure_that_two_processes_serve_is_named_once_a_minute_and_cannot_sta
     conductor.arm(world.now_ns)
 
 
+def test_a_figure_whose_conductor_is_not_there_says_so_once():
+    world = World(2, seed=1)
+    world.is_conducting = False
+    world.run(4.0)
+    host = world.hosts["f1"]
+    assert host.log == []
+    world.run(20.0)
+    assert len(host.log) == 1
+    assert "nothing arrives from the conductor f0: is it served, are address" in host.log[0]
+    world.is_conducting = True
+    world.conductor.load(world.cast)
+    assert world.run(10.0, lambda: world.states() == {"ready"})
+    assert "nothing arrives" not in " ".join(host.log[1:])
+
+
 def test_why_a_figure_stops_is_told_once():
     world = playing()
     host = world.hosts["f1"]
