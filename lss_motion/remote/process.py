@@ -102,6 +102,7 @@ def start_process(
 
 def main() -> int:
     """Play the job that comes over the socket, steered through it; return an exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Without a job it ends without a word.
     parent = os.getppid()
     words = sys.argv[1:]
     ends = [socket.socket(fileno=int(word)) for word in words if word.isdigit()]

@@ -1,8 +1,11 @@
 """One show for two figures: planned together, split, stored, and verified where it is played."""
 
 import dataclasses
+import os
 import pickle
+import signal
 import socket
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -188,3 +191,20 @@ def test_a_process_that_waits_for_its_job_ends_with_its_link():
     process, own = begin_process()
     own.close()
     assert process.wait(60) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_process_that_waits_for_its_job_ends_by_a_signal_without_a_traceback(
+    tmp_path, monkeypatch, capfd, number
+):
+    imported = tmp_path / "imported"
+    (tmp_path / "tells_that_it_is_imported.py").write_text(f"open({str(imported)!r}, 'x').close()")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    process, own = begin_process(modules=["tells_that_it_is_imported"])
+    with own:
+        deadline_s = time.monotonic() + 60
+        while not imported.exists() and time.monotonic() < deadline_s:
+            time.sleep(0.02)
+        process.send_signal(number)
+        assert process.wait(60) == -number
+    assert capfd.readouterr().err == ""
