@@ -324,10 +324,13 @@ class RigStage:
         self.wait(self.names[0], "armed -> playing", seconds)
 
     def kill(self, name: str, number: int = signal.SIGKILL) -> None:
-        """Kill the process that serves a host, not its player."""
+        """Send a signal to the process that serves a host, not to its player.
+
+        One that ends it is waited for: its address is in use until then.
+        """
         self._processes[name].send_signal(number)
-        if number == signal.SIGKILL:
-            self._processes[name].wait(10)
+        if number in (signal.SIGKILL, signal.SIGTERM):
+            self._processes[name].wait(30)
 
     def cut(self, name: str) -> None:
         """Cut the cable of a host."""
