@@ -171,6 +171,9 @@ def _from_zero(motion: ForeignMotion) -> ForeignMotion:
 SWING_DEG: Final = 1e-6
 """Tolerance for rounding of a spline. A servo resolves 0.01 deg at best."""
 
+SWING_STEPS: Final = 8
+"""Angles looked at between two samples: a spline of few keys leaves its range beside the middle."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Imported:
@@ -250,8 +253,10 @@ def imported(
         own, fit = reduced(recorded, tolerance_deg, ease, _limits(robot))
         if ease is Interpolation.SPLINE and (joint := _swings_out(own, recorded, robot)):
             own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH, _limits(robot))
-            note = f"A spline would swing joint {joint} out of its range: smooth instead."
-            own = replace(own, comments=(*own.comments, note))
+            own = replace(own, comments=(*own.comments, _smooth_instead(joint)))
+    elif own.ease is Interpolation.SPLINE and (joint := _swings_out(own, own, robot)):
+        comments = (*own.comments, _smooth_instead(joint))
+        own = replace(own, ease=Interpolation.SMOOTH, comments=comments)
     if keeps_time and own.is_script:
         own = _left_to_servos(own, robot)
     sequence = sequence_for(own, robot)
@@ -335,15 +340,20 @@ def _limits(robot: Robot) -> dict[str, Limits]:
     }
 
 
+def _smooth_instead(joint: str) -> str:
+    return f"A spline would swing joint {joint} out of its range: smooth instead."
+
+
 def _swings_out(keys: ForeignMotion, recorded: ForeignMotion, robot: Robot) -> str:
     """Return a joint whose keys are within its range but whose spline leaves it, or ""."""
     for own, samples in zip(keys.channels, recorded.channels, strict=True):
         joint = robot.joints.get(own.name)
-        if joint is None:
+        if joint is None or len(own.times_s) < 2:
             continue
         low, high = joint.position_min_deg, joint.position_max_deg
-        middles_s = samples.times_s[:-1] + 0.5 * np.diff(samples.times_s)
-        times_s = np.sort(np.concatenate([samples.times_s, middles_s]))
+        places = np.arange(len(samples.times_s))
+        finely = np.linspace(0, places[-1], SWING_STEPS * places[-1] + 1)
+        times_s = np.interp(finely, places, samples.times_s)
         angles_deg = interpolated(Interpolation.SPLINE, own.times_s, own.values, times_s)
         is_inside = low <= own.values.min() and own.values.max() <= high
         if (

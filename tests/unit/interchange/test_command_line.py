@@ -137,3 +137,12 @@ def test_clip_lists_what_it_limited_and_the_refusal_offers_it(folder: Path, caps
     assert run(folder, "t.csv", "--clip", "-o", "out.yaml") == 0
     assert "the farthest was 120 deg at 2 s, line 3." in capsys.readouterr().out
     assert load_sequence(folder / "out.yaml").keyframes[1].deg == {"pan": 90.0}
+
+
+def test_curves_of_scripts_that_would_leave_the_range_are_smooth(folder: Path, capsys) -> None:
+    """A command that replaces another makes the script a curve; clipped, it ends at the range."""
+    script = "#1D-300T900\nwait 1\n#1D0T999\nwait 2\n#1D99T20\nwait 1\n#1D2500T999\n"
+    (folder / "script.txt").write_text(script, encoding="utf-8")
+    assert run(folder, str(folder / "script.txt"), "--clip", "-o", "out.yaml") == 0
+    assert "A spline would swing joint pan out of its range: smooth" in capsys.readouterr().out
+    assert load_sequence(folder / "out.yaml").keyframes[-1].deg == {"pan": 90.0}
