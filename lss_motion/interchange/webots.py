@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 HEADER: Final = "#WEBOTS_MOTION"
 _TIME: Final = re.compile(r"(\d{1,4}):(\d{1,2}):(\d{1,3})", re.ASCII)
-_VERSION: Final = re.compile(r"V\d{1,2}\.\d{1,2}", re.ASCII | re.IGNORECASE)
+_VERSION: Final = re.compile(r"V1\.\d{1,2}", re.ASCII | re.IGNORECASE)
 
 VARIANTS: Final = (
     f"variants: `{HEADER},V1.0,joint,...` and rows `mm:ss:mmm,pose,value,...`; the joints in a "

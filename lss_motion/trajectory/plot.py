@@ -290,7 +290,7 @@ def _notes(axis: Any, trajectory: Trajectory, joint: str, room_s: tuple[float, f
 def _headline(trajectory: Trajectory) -> str:
     length = "without end" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     lost_s = sum(stretch.by_s for stretch in trajectory.stretched)
-    late = f", {lost_s:.3f} s slower than authored" if lost_s > 0.0 else ""
+    late = f", spans slowed by {lost_s:.3f} s in all" if lost_s > 0.0005 else ""
     by_deg = max((span.by_deg for span in trajectory.given_up), default=0.0)
     given_up = f", up to {by_deg:.1f} deg given up to keep the time" if by_deg > 0.0 else ""
     return f"{trajectory.name}: {length}{late}{given_up}"

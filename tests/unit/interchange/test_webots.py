@@ -78,6 +78,7 @@ def test_names_may_have_a_line_of_their_own_and_durations_are_summed(read_one, t
     [
         ("#WEBOTS_MOTION,V1.0\n00:00:000,a,1,2\n", 2),
         ("#WEBOTS_MOTION,V1.0\n", 1),
+        ("#WEBOTS_MOTION,V2.0,ArmL,ArmR\n00:00:000,a,1,2\n", 1),
         ("#WEBOTS_MOTION,one,ArmL\n00:00:000,1\n", 1),
         ("#WEBOTS_MOTION,V1.1\nArmL\n1.5,1\n", 3),
     ],
