@@ -128,6 +128,12 @@ class KeyframeEntry(FileModel, title="keyframe"):
         description="Joints with keep: time meet this angle, too, and hold it; planning fails if "
         "they cannot.",
     )
+    keep: Literal["time"] | None = Field(
+        default=None,
+        description="time: the joints it names keep their time, and give up angle here where they "
+        "are too slow. At keyframes without it those joints keep both, as with exact, unless file "
+        "or track says keep: time of them.",
+    )
     weight: float = Field(
         default=1.0,
         ge=1.0,

@@ -192,25 +192,27 @@ class TrackLoader:
         if self.robot is not None:
             self._check_joints(keyframes, self.robot)
         loop = None if content.loop == "forever" else content.loop
-        keeps_time = self._keeps_time(keyframes)
+        kept = self._kept(keyframes)
+        marked = self._marked(keyframes)
         is_whole = not self.problems and not self.left_out and self.robot is not None
         is_looped = loop != 1 and not self.is_looped_in_part
         if is_looped and is_whole and (reason := loop_problem(keyframes)):
             self._note(("keyframes", len(keyframes) - 1), reason)
+        self._check_kept(keyframes, kept, marked)
         return Sequence(
             name=name,
-            keyframes=tuple(keyframes),
+            keyframes=tuple(self._with_exact(keyframes, kept, marked)),
             path=self.source.path,
             robot_path=None if self.robot is None else self.robot.path,
             timing=timing,
             fit_duration_s=content.duration_s,
             loop=loop,
-            keeps_time=keeps_time,
+            keeps_time=kept | marked,
             smooth_s=self.smooth_s if content.smooth_s is None else content.smooth_s,
         )
 
-    def _keeps_time(self, keyframes: list[Keyframe]) -> frozenset[str]:
-        """Return the joints that keep their time, and note what contradicts that."""
+    def _kept(self, keyframes: list[Keyframe]) -> frozenset[str]:
+        """Return the joints that keep their time by track or file, and note unknown ones."""
         keyed = frozenset(name for frame in keyframes for name in frame.deg)
         own, default = self.content.keep, self.keep
         known = [] if self.robot is None else [*self.robot.joints, *self.robot.groups]
@@ -220,20 +222,58 @@ class TrackLoader:
                 self._note(("keep", name), f"keep: {reason}")
         groups = {} if self.robot is None else self.robot.groups
         default_kept = kept_joints(default, keyed, groups, frozenset())
-        kept = kept_joints(own, keyed, groups, default_kept)
-        if kept and timing_of(self.content) is Timing.FASTEST and own is not None:
+        return kept_joints(own, keyed, groups, default_kept)
+
+    def _marked(self, keyframes: list[Keyframe]) -> frozenset[str]:
+        """Return the joints of keyframes with `keep: time`."""
+        pairs = zip(self.content.keyframes, keyframes, strict=True)
+        return frozenset(name for entry, frame in pairs if entry.keep for name in frame.deg)
+
+    def _check_kept(
+        self, keyframes: list[Keyframe], kept: frozenset[str], marked: frozenset[str]
+    ) -> None:
+        """Note what contradicts that joints keep their time."""
+        if kept and timing_of(self.content) is Timing.FASTEST and self.content.keep is not None:
             self._note(("keep",), "keep: time keeps the author's times, but this file gives none")
         for index, (entry, frame) in enumerate(zip(self.content.keyframes, keyframes, strict=True)):
             for key in ("exact", "weight"):
                 is_given = key in entry.model_fields_set and frame.deg
-                if is_given and not kept & {*frame.deg}:
+                if is_given and not (kept | marked) & {*frame.deg}:
                     self._note(
                         ("keyframes", index, key),
                         f"{key} is for joints that keep their time; write keep: time for one of "
                         f"{', '.join(frame.deg)}, or remove it (anchor: true keeps the time of "
                         "joints that keep the angle)",
                     )
-        return kept
+            if entry.keep and entry.exact:
+                self._note(
+                    ("keyframes", index, "keep"),
+                    "keep: time gives up the angle here, and exact keeps it; remove one of them",
+                )
+            if entry.keep and timing_of(self.content) is Timing.FASTEST:
+                self._note(
+                    ("keyframes", index, "keep"),
+                    "keep: time keeps the author's times, but this file gives none",
+                )
+
+    def _with_exact(
+        self, keyframes: list[Keyframe], kept: frozenset[str], marked: frozenset[str]
+    ) -> list[Keyframe]:
+        """Return the keyframes; the joints of `marked` alone give up angle only where they say so.
+
+        A keyframe that is exact for some of the joints that keep their time, and not for others,
+        becomes two of one instant.
+        """
+        found = []
+        for entry, frame in zip(self.content.keyframes, keyframes, strict=True):
+            own = {} if entry.keep or entry.exact else marked - kept
+            both = {name: deg for name, deg in frame.deg.items() if name in own}
+            rest = {name: deg for name, deg in frame.deg.items() if name not in own}
+            if both and kept & {*rest}:
+                found += [replace(frame, deg=rest), replace(frame, deg=both, is_exact=True)]
+            else:
+                found.append(replace(frame, is_exact=True) if both else frame)
+        return found
 
     def _unread(self) -> frozenset[int]:
         """Return the keyframes that could not be read; the loader has blanks in their place."""

@@ -411,8 +411,8 @@ class JointFollower:
         return PlanningError(
             f"{place}keyframe {key.name} cannot be exact: joint {self.name!r}, allowed "
             f"{self.bounds.speed_deg_s:g} deg/s and {self.bounds.accel_deg_s2:g} deg/s², misses "
-            f"{', '.join(texts)}. Give the moves around it more time, ask for less, or remove "
-            "exact",
+            f"{', '.join(texts)}. Give the moves around it more time, ask for less, or let it give "
+            "up angle there (no exact; keep: time at that keyframe, too, if others have it)",
             joint=self.name,
             time_s=key.at_s,
         )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.robot.load import load_robot
 from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.parts import time_keepers
 from lss_motion.sequence.write import write_sequence
+from lss_motion.trajectory.planner import plan
 
 ROBOT = """\
 robot: face
@@ -51,6 +54,43 @@ def load(tmp_path):
 )
 def test_a_file_says_which_joints_keep_their_time(load, keep, joints):
     assert load(f"{keep}\n{KEYS}").keeps_time == joints
+
+
+CLAP = """\
+keyframes:
+  - {at_s: 0, deg: {jaw: 0, lip: 0, neck: 0}}
+  - {at_s: 1, deg: {jaw: 20, neck: 5}, keep: time}
+  - {at_s: 2, deg: {jaw: 0, lip: 9}, label: end, hold_s: 1}
+"""
+
+
+def test_a_keyframe_gives_up_angle_and_the_others_of_its_joints_keep_both(load):
+    sequence = load(CLAP)
+    assert sequence.keeps_time == {"jaw", "neck"}
+    assert [frame.is_exact for frame in sequence.keyframes] == [True, False, True]
+
+
+def test_a_beat_is_met_in_time_and_the_keyframes_around_it_in_both(load, tmp_path):
+    sequence = load(CLAP.replace("at_s: 2,", "at_s: 1.2,"))
+    planned = plan(sequence, load_robot(tmp_path / "robot.yaml"))
+    jaw = planned.joints.index("jaw")
+    deg = planned.sample(np.array([0.0, 1.0, 1.2, 2.2]))[:, jaw]
+    assert deg[[0, 2, 3]] == pytest.approx(0.0, abs=1e-3)
+    assert 5.0 < deg[1] < 19.0
+    assert {span.joint for span in planned.given_up} == {"jaw"}
+    assert [mark.planned_s for mark in planned.marks if "jaw" in mark.kept] == [0.0, 1.0, 1.2]
+
+
+def test_what_the_file_says_of_joints_counts_at_the_keyframes_without_it(load):
+    sequence = load(f"keep: {{jaw: time, lip: time}}\n{CLAP}")
+    assert [(frame.is_exact, *frame.deg) for frame in sequence.keyframes] == [
+        (False, "jaw", "lip"),
+        (True, "neck"),
+        (False, "jaw", "neck"),
+        (False, "jaw", "lip"),
+    ]
+    assert len({(frame.at_s, frame.line) for frame in sequence.keyframes}) == 3
+    assert not any(frame.is_exact for frame in load(f"keep: time\n{CLAP}").keyframes)
 
 
 TRACKS = """\
@@ -116,6 +156,13 @@ def test_a_written_file_keeps_the_same(load, tmp_path, keep, tracks):
             "keeps the author's times, but this file gives none",
         ),
         (KEYS.replace("neck: 5}", "neck: 5}, exact: true"), 5, "exact is for joints that keep"),
+        (CLAP.replace("keep: time", "keep: time, exact: true"), 5, "remove one of them"),
+        (CLAP.replace("keep: time", "keep: angle"), 5, "there are: time"),
+        (
+            "timing: fastest\nkeyframes: [{deg: {jaw: 0}}, {deg: {jaw: 9}, keep: time}]\n",
+            4,
+            "keeps the author's times, but this file gives none",
+        ),
         (KEYS.replace("neck: 5}", "neck: 5}, weight: 3"), 5, "weight is for joints that keep"),
         (KEYS.replace("neck: 5}", "neck: 5}, weight: 0.5"), 5, "weight"),
         ("keep: time\nplay: [{pause_s: 1}]\n", 3, "keep does not go with 'play'"),
