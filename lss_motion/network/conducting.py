@@ -189,6 +189,11 @@ class Conducting:
         except OSError as error:
             self.records.note("network", f"the plans cannot be offered yet: {error}")
 
+    @property
+    def is_led(self) -> bool:
+        """Whether the timecode says where the present show is."""
+        return self._order is not None and self._order.follows_s is not None
+
     def note_counts(self) -> None:
         """Keep what was counted since the last time."""
         self.records.note_counts(self.now_ns, is_last=True)
@@ -261,12 +266,11 @@ class Conducting:
             if self.now_ns - self._since_ns > ns_from_s(READY_S):
                 self._refuse("; ".join(problems))
             return
-        is_led = self._order.follows_s is not None
         place_s = self._order.start_s or 0.0
         if (leader := self._leader()) is not None and leader.rate >= RUNNING_RATE:
             place_s = max(leader.at_s(self.now_ns + ns_from_s(self._arm_lead_s())), 0.0)
         try:
-            self.host.go(place_s, self._leader if is_led else None)
+            self.host.go(place_s, self._leader if self.is_led else None)
         except InputError as refused:
             self._refuse(str(refused))
         else:

@@ -3,7 +3,7 @@
     load(cast)          the figures fetch, verify and synchronise: `ready`
     arm(now)            their robots move to the start: `armed`
     start(now)          the first leg, at least `LEAD_NS` ahead
-    pause, resume, seek, trim
+    pause, resume, set_rate, seek, trim
     stop()              brake, hold, end; again and again is the same as once
 
 `tick(now)` looks after the figures and returns what a person should know. `beat` is what all of
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from lss_motion.errors import InputError
 from lss_motion.network.clocks import REFUSE_NS, WARN_NS
 from lss_motion.network.messages import PROTOCOL, Beat, NetworkLeg, Status, hash_of, packed
+from lss_motion.player.following import RUNNING_RATE, SLOW_RATE, SPEED_STEP
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -38,6 +39,15 @@ LEAD_NS: Final = NS_PER_S
 and ten beats repeat it meanwhile."""
 LOST_NS: Final = NS_PER_S
 """Without a word for so long, a figure is lost."""
+STOOD_NS: Final = NS_PER_S // 2
+"""Figures that stand are seen to do so this long after a leg: their states arrive 5 times a second,
+and repeat."""
+THERE_S: Final = 2.0
+"""A figure that stands so near stands at the place that was sought. Chosen: the ramp of a pause
+takes less."""
+SEEK_MAX_NS: Final = 30 * NS_PER_S
+"""Figures that are not there by then join the others later. Chosen: any way at the approach speed
+takes less."""
 SLOW_RATIO: Final = 0.5
 """With `others: slow`. Chosen: slow enough to be seen, and the show is still one."""
 GRACE_NS: Final = 5 * NS_PER_S
@@ -98,6 +108,9 @@ class Conductor:
     """Hash of the `messages.Catalogue`."""
     run: int = field(default=0, init=False)
     leg: NetworkLeg | None = field(default=None, init=False)
+    speed: float = field(default=1.0, init=False)
+    """The share of the speed of the plan that a person asked for (`set_rate`)."""
+    is_paused: bool = field(default=False, init=False)
     examines: int = field(default=0, init=False)
     """Raised to let all figures examine themselves."""
     superseded: str = field(default="", init=False)
@@ -107,7 +120,6 @@ class Conductor:
         self.seats = {name: FigureSeat(name) for name in self.figures}
         self._count = 0
         self._cast_hash: str | None = None
-        self._is_paused = False
         self._limit = 1.0
         """What `others` allows at present."""
         self._led_rate = 1.0
@@ -115,6 +127,8 @@ class Conductor:
         self._start_s = 0.0
         self._notes: list[str] = []
         self._begun_ns: int | None = None
+        self._is_seeking = False
+        """Whether the show stands until all robots are at the place of its leg."""
         self._refused = ""
         """The other conductor that was refused last."""
 
@@ -242,7 +256,8 @@ class Conductor:
         self.run += 1
         self._start_s = start_s
         self.wanted, self.leg = "armed", None
-        self._limit, self._led_rate, self._is_paused = 1.0, 1.0, False
+        self._limit, self._led_rate, self.is_paused = 1.0, 1.0, False
+        self.speed, self._is_seeking = 1.0, False
 
     def start(self, now_ns: int, leader: Leg | None = None) -> NetworkLeg:
         """Make the first leg, that of a leader if there is one.
@@ -266,22 +281,40 @@ class Conductor:
 
     def pause(self, now_ns: int) -> None:
         """Let all stand, from an instant `LEAD_NS` ahead."""
-        self._is_paused = True
+        self._require_leg()
+        self.is_paused = True
         self._rerate(now_ns)
 
     def resume(self, now_ns: int) -> None:
         """Go on after `pause`."""
-        self._is_paused = False
+        self._require_leg()
+        self.is_paused = False
         self._rerate(now_ns)
 
+    def set_rate(self, ratio: float, now_ns: int) -> float:
+        """Play at this share of the speed of the plan until the next start; return which it is.
+
+        It is the nearest one that a figure follows. A paused show has it when it is resumed.
+        """
+        self._require_leg()
+        self.speed = followed_rate(ratio)
+        self._rerate(now_ns)
+        return self.speed
+
     def seek(self, show_s: float, now_ns: int) -> None:
-        """Go on from another show time: figures brake, move there and rejoin."""
+        """Go on from another show time: figures brake, move there, and start there together.
+
+        Raises `InputError` for a time that is not in the show.
+        """
         leg = self._require_leg()
+        duration_s = None if self.cast is None else self.cast.duration_s
+        if not 0.0 <= show_s < (float("inf") if duration_s is None else duration_s):
+            end = "" if duration_s is None else f", which ends at {duration_s:.1f} s"
+            raise InputError(f"{show_s:g} s is not in the show{end}")
+        self._is_seeking = True
+        self._notes.append(f"the robots go to {show_s:.1f} s of the show")
         self.leg = NetworkLeg(
-            number=leg.number + 1,
-            instant_ns=now_ns + LEAD_NS,
-            show_s=max(0.0, show_s),
-            rate=self._wanted_rate,
+            number=leg.number + 1, instant_ns=now_ns + LEAD_NS, show_s=show_s, rate=0.0
         )
 
     def trim(self, instant_ns: int, show_s: float, rate: float, now_ns: int) -> None:
@@ -294,7 +327,7 @@ class Conductor:
         if leg.instant_ns > now_ns:
             return  # One leg at a time: figures may not have got the last one yet.
         self._led_rate = min(max(rate, 0.0), 1.1)
-        if self._is_paused or self._limit < 1.0:
+        if self.is_paused or self._limit < 1.0:
             self._rerate(now_ns)
             return
         at_s = show_s + rate * (at_ns - instant_ns) / NS_PER_S
@@ -425,6 +458,8 @@ class Conductor:
         """Go on, slow down or hold, as `others` says, while figures do not take part."""
         if self.leg is None or self.wanted != "armed" or self.leg.instant_ns > now_ns:
             return
+        if self._is_seeking:
+            self._end_seek(self.leg, now_ns)
         are_all_there = all(self._takes_part(seat, now_ns) for seat in self._cast_seats())
         limit = (
             1.0 if are_all_there else {"go_on": 1.0, "slow": SLOW_RATIO, "hold": 0.0}[self.others]
@@ -436,9 +471,32 @@ class Conductor:
         self._notes.append("all figures play: the show goes on" if limit == 1.0 else slower)
         self._rerate(now_ns)
 
+    def _end_seek(self, leg: NetworkLeg, now_ns: int) -> None:
+        """Go on when all figures that take part stand at the place that was sought."""
+        since_ns = now_ns - leg.instant_ns
+        there = (
+            self._is_there(seat, leg)
+            for seat in self._cast_seats()
+            if self._takes_part(seat, now_ns)
+        )
+        if since_ns >= STOOD_NS and (all(there) or since_ns >= SEEK_MAX_NS):
+            self._is_seeking = False
+            self._rerate(now_ns)
+
+    def _is_there(self, seat: FigureSeat, leg: NetworkLeg) -> bool:
+        status = seat.status
+        assert status is not None, "it takes part"
+        if status.state == "ended":
+            return True
+        off_s = abs((status.show_s or 0.0) - leg.show_s)
+        return status.leg == leg.number and status.stands and off_s < THERE_S
+
     @property
     def _wanted_rate(self) -> float:
-        return 0.0 if self._is_paused else self._limit * self._led_rate
+        slower = self._limit * self.speed
+        if self.is_paused or self._is_seeking or slower == 0.0:
+            return 0.0
+        return self._led_rate if slower == 1.0 else self._led_rate * followed_rate(slower)
 
     def _rerate(self, now_ns: int) -> None:
         """Make a leg with the rate that is wanted, where the present one will have come to."""
@@ -459,3 +517,10 @@ class Conductor:
         if self.leg is None or self.wanted != "armed":
             raise InputError("no show plays")
         return self.leg
+
+
+def followed_rate(ratio: float) -> float:
+    """Return the rate next to a ratio that figures follow as it is (`following.FollowRule`)."""
+    slowest = min(max(ratio, SLOW_RATE), RUNNING_RATE - SPEED_STEP)
+    slower = round(round(slowest / SPEED_STEP) * SPEED_STEP, 3)
+    return slower if ratio - slower < 1.0 - ratio else 1.0

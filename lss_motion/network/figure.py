@@ -41,8 +41,8 @@ AHEAD_NS: Final = 50 * NS_PER_MS
 """A leg that is not the first is passed on this long before its instant, since the player follows
 one leg at a time."""
 SPEED_AHEAD_NS: Final = 600 * NS_PER_MS
-"""A leg that only changes the speed is passed on so early: half of the ramp is before its instant.
-Chosen: 0.5 of the rate takes 0.4 s at 180 deg/s and 600 deg/s2."""
+"""A leg that changes the speed, or ends a stand, is passed on so early: half of the ramp is before
+its instant. Chosen: 0.5 of the rate takes 0.4 s at 180 deg/s and 600 deg/s2."""
 STOP_AGAIN_NS: Final = NS_PER_S // 2
 OVER_S: Final = 3.0
 """A player that has not ended so long after the end of its show holds somewhere in it. Chosen: a
@@ -75,6 +75,8 @@ class PlayerView:
     """Kind of the fault by which it `failed`, or `error`."""
     hottest_c: float | None = None
     late_us: int | None = None
+    stands: bool = False
+    """Whether the robot stands at `show_s`, and goes to no other place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +280,8 @@ class Figure:
             show_s = self.player.show_s
         if show_s is not None and self.clock is not None and self.player.phase == "playing":
             leg = self._leg_at(self.clock.other_ns(now_ns))
-            off_s = None if leg is None else show_s - leg.at_s(self.clock.other_ns(now_ns))
+            if leg is not None and leg.rate > 0.0:
+                off_s = show_s - leg.at_s(self.clock.other_ns(now_ns))
         estimate = self.offered
         return Status(
             protocol=PROTOCOL,
@@ -297,6 +300,7 @@ class Figure:
             round_trip_ns=self.round_trip_ns,
             show_s=show_s,
             off_s=off_s,
+            stands=self.player.stands,
             hottest_c=self.player.hottest_c,
             late_us=self.player.late_us,
             cause=self.player.cause if self.state == "stopped" else "",
@@ -505,8 +509,8 @@ class Figure:
         present = self._leg_at(conductor_ns)
         if present is None or len(self._legs) < 2:
             return AHEAD_NS
-        rates = {present.rate, self._legs[1].rate}
-        return SPEED_AHEAD_NS if len(rates) == 2 and min(rates) > 0.0 else AHEAD_NS
+        coming = self._legs[1]
+        return SPEED_AHEAD_NS if coming.rate not in (0.0, present.rate) else AHEAD_NS
 
     def _pass_on(self, follow: Follow, number: int, now_ns: int, actions: list[Action]) -> None:
         last = self._followed

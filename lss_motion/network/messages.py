@@ -28,7 +28,7 @@ from pydantic import Field, ValidationError
 from lss_motion.errors import InputError
 from lss_motion.remote.schema import Message
 
-PROTOCOL: Final = 2
+PROTOCOL: Final = 3
 """Conductor and figures must have the same."""
 MESSAGE_MAX_BYTES: Final = 16 * 1024
 """A longer message is none of ours; the longest, a `Status` with its texts, has about 1 kB."""
@@ -167,7 +167,9 @@ class Status(Message):
     round_trip_ns: int | None = None
     show_s: float | None = None
     off_s: float | None = None
-    """How far its show is from the leg."""
+    """How far its show is from the leg, while that runs."""
+    stands: bool = False
+    """Whether its robot stands at `show_s`."""
     hottest_c: float | None = None
     late_us: int | None = None
     """The worst lateness of a move in this show."""

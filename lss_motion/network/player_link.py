@@ -30,6 +30,7 @@ from lss_motion.remote.process import begin_process, give_job, packed
 from lss_motion.remote.telemetry import Telemetry
 from lss_motion.robot.on_fault import Cause
 from lss_motion.runtime.sound_choice import SoundChoice
+from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
     import socket
@@ -66,7 +67,7 @@ class PlayerLink:
         self._robot, self._options, self._log = robot, options, log
         self._pass_on = pass_on
         self._rule = FollowRule(
-            freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE
+            freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE, goes_to_it=True
         )
         self._process: subprocess.Popen[bytes] | None = None
         self._link: Link | None = None
@@ -75,6 +76,8 @@ class PlayerLink:
         self._view = PlayerView()
         self._phase = ""
         self._show_s: float | None = None
+        self._rate, self._shown_ns = 0.0, 0
+        """Of the show, when `_show_s` arrived, and when that was."""
         self._first_ns: int | None = None
         self._cause = ""
         self._hottest_c: float | None = None
@@ -173,21 +176,27 @@ class PlayerLink:
             return self._view
         if self._view.phase in ("ended", "failed"):
             return self._view
+        show_s = self._show_s
+        if show_s is not None:  # It was there when it was sent.
+            show_s += self._rate * s_from_ns(max(now_ns - self._shown_ns, 0))
         if not self._phase or (self._phase in MOVING and self._first_ns is None):
             self._view = PlayerView("starting")
         elif self._phase in ENDING and (self._is_stopped or self._phase == Phase.STOP.value):
-            self._view = PlayerView("stopping", self._show_s)
+            self._view = PlayerView("stopping", show_s)
         elif self._first_ns is None or now_ns < self._first_ns:
-            self._view = PlayerView("standing", self._show_s)
+            self._view = PlayerView("standing", show_s)
         else:
-            self._view = PlayerView("playing", self._show_s)
+            stands = self._phase == Phase.SHOW.value and self._rate == 0.0
+            self._view = PlayerView("playing", show_s, stands=stands)
         self._view = replace(self._view, hottest_c=self._hottest_c, late_us=self._late_us)
         return self._view
 
     def _take(self, kind: Kind, content: bytes) -> None:
         self._pass_on(kind, content)
         if kind is Kind.TELEMETRY:
-            self._show_s = Telemetry.from_bytes(content).show_s
+            telemetry = Telemetry.from_bytes(content)
+            self._show_s, self._rate = telemetry.show_s, telemetry.rate
+            self._shown_ns = time.monotonic_ns()
         elif kind is Kind.EVENT:
             match m.parse_event(content):
                 case m.PhaseChanged() as event:

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     Sources = Callable[["Take"], AbstractContextManager[None]]
 
 HELP: Final = (
-    "keys, each with Enter: g GO · l SHOW load a show · p pause · r resume · j S jump to a show "
-    "time · s STOP all · c CUE fire a cue · ? states · q end"
+    "keys, each with Enter: g GO · l SHOW load a show · p pause · r resume · v RATIO speed · "
+    "j S jump to a show time · s STOP all · c CUE fire a cue · ? states · q end"
 )
 
 
@@ -306,7 +306,7 @@ class Commands:
                 self.load(show)
             case ["c", cue]:
                 self._host.cue(cue)
-            case ["p" | "r" | "j", *rest]:
+            case ["p" | "r" | "v" | "j", *rest]:
                 self._do(lambda: self._steer(words[0], rest))
             case ["?"]:
                 for line in states(self._host):
@@ -327,9 +327,16 @@ class Commands:
             conductor.resume(now_ns)
         else:
             try:
-                conductor.seek(float(rest[0]), now_ns)
+                number = float(rest[0])
             except (ValueError, IndexError):
-                raise InputError("j needs a show time in seconds: j 12.5") from None
+                raise InputError(
+                    "v needs a share of the speed of the plan: v 0.5; j a show time in seconds: "
+                    "j 12.5"
+                ) from None
+            if word == "v":
+                self._log(f"speed {conductor.set_rate(number, now_ns):g}")
+            else:
+                conductor.seek(number, now_ns)
 
     def _fire(self, name: str, figure: str) -> None:
         """Fire a cue that a figure asked for: its show, or what it does."""

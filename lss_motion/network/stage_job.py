@@ -215,16 +215,18 @@ class ConductorSteering(StageSteering):
         match operation:
             case m.Pause():
                 conductor.pause(now_ns)
-                self.operator.send(m.RateChanged(ratio=1.0, is_paused=True))
             case m.Resume():
                 conductor.resume(now_ns)
-                self.operator.send(m.RateChanged(ratio=1.0, is_paused=False))
+            case m.Rate() | m.Seek() if self._conducting.is_led:
+                raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
+            case m.Rate():
+                conductor.set_rate(operation.ratio, now_ns)
             case m.Seek():
                 if not isinstance(operation.to, int | float):
                     raise InputError("a show of several figures goes to a time, not to a label")
                 conductor.seek(float(operation.to), now_ns)
-            case m.Rate():
-                raise InputError("figures play together at the speed of the plan")
+                return True
             case _:
                 return super()._direct(operation)
+        self.operator.send(m.RateChanged(ratio=conductor.speed, is_paused=conductor.is_paused))
         return True

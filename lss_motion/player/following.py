@@ -4,7 +4,8 @@ Another process sends legs: where the leader is, and at what rate it goes on. `F
 player by what any caller may do: trim its clock, brake, seek, run. A leader that runs evenly costs
 trims of at most `TRIM_MAX_RATIO`. Everything else is a place to begin at: the robot stands on its
 course at some show time, and begins to move so early that it is in step when it has its speed. If
-the leader is elsewhere, the robot first approaches a place that lies in the leader's future.
+the leader is elsewhere, the robot first approaches a place that lies in the leader's future. A
+leader that stands elsewhere is waited for, or gone to if the rule says so.
 
 A leader that runs between `SLOW_RATE` and `RUNNING_RATE` is followed at its speed, if the rule says
 so. When it changes that at an instant that it gave ahead, the ramp of the robot has its middle
@@ -83,6 +84,9 @@ class FollowRule:
     slowest: float = RUNNING_RATE
     """A leader that is slower stands. A conductor slows down on purpose, a tape only when a person
     shuttles it."""
+    goes_to_it: bool = False
+    """Whether the robot goes to where its leader stands: a conductor has sought that place, a tape
+    may still be wound."""
 
     def speed_of(self, leader: Leg) -> float:
         """Return the rate at which a show runs beside a leader, but for the trim; 0: it stands."""
@@ -256,12 +260,29 @@ class Following:
         if show.clock.target_rate <= 0.0:
             if self.step is not Step.WAITING:
                 self.step = Step.HOLDING
+            self._go_to(player, show, now_ns)
         elif show.show_s(now_ns) < show.begin_s:
             self._hold_before_start(player, now_ns)
             self.step = Step.WAITING
         else:
             self._run_at(player, 0.0, now_ns)
             self.step = Step.HOLDING
+
+    def _go_to(self, player: Followed, show: Streamer, now_ns: int) -> None:
+        """Go to where the leader stands, unless that is as near as a pause leaves it."""
+        leader, here_s = self._leader, show.show_s(now_ns)
+        if not self.rule.goes_to_it or self._is_paused:
+            return
+        if leader is None or self.rule.speed_of(leader) > 0.0:
+            return
+        if here_s >= show.begin_s and not show.is_standing(now_ns):
+            return
+        near_s = show.ramp_over_s(1.0, now_ns) + JUMP_S
+        is_in_show = 0.0 <= leader.show_s < player.program.duration_s
+        if is_in_show and abs(leader.show_s - here_s) > near_s:
+            self.step = Step.JOINING
+            self.note_request(f"seek {leader.show_s!r}", now_ns)
+            player.seek(leader.show_s, now_ns)
 
     def _keep_step(self, player: Followed, show: Streamer, leader: Leg, now_ns: int) -> None:
         """Trim the clock; stand if the leader is too far away, to rejoin it from there."""

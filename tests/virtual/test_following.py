@@ -189,6 +189,46 @@ def test_a_leader_that_stands_or_is_reversed_holds_the_robot_and_goes_on_with_it
     assert_limits_hold(played, robot)
 
 
+def test_a_leader_that_seeks_is_gone_to_and_waited_for_and_the_show_begins_with_it(
+    stage, robot, show
+):
+    """As the figure of a conductor that goes to 1.5 s and starts there at 10 s."""
+
+    def told(s):
+        if s < 7.0:
+            return s - 3.0, 1.0
+        if s < 9.4:
+            return 1.5, 0.0
+        if s > 10.0:
+            return s - 8.5, 1.0
+        ahead = Leg(leader.start_ns + 10 * S, 1.5, 1.0)
+        leader.following.lead(ahead, leader.next_ns)
+        return None
+
+    leader = Leader(told, FollowRule(slowest=SLOW_RATE, goes_to_it=True))
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == "finished"
+    stood = [show_s for s, show_s, _ in leader.course if 9.0 < s < 9.4]
+    assert stood == [1.5] * len(stood)
+    assert len(stood) > 5
+    course = [(s, show_s) for s, show_s, _ in leader.course if s > 10.3]
+    assert len(course) > 50
+    assert max(abs(show_s - (s - 8.5)) for s, show_s in course) < 2e-3
+    assert leader.following.jumps == 0
+    assert_limits_hold(played, robot)
+
+
+@pytest.mark.parametrize("place_s", [-5.0, 1e6])
+def test_a_leader_that_stands_beyond_the_show_is_not_gone_to(stage, robot, show, place_s):
+    leader = Leader(
+        lambda s: (place_s, 0.0) if 7.0 < s < 9.0 else (s - 3.0, 1.0),
+        FollowRule(slowest=SLOW_RATE, goes_to_it=True),
+    )
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == "finished"
+    assert np.abs(leader.off_s(13.0)).max() < 2e-3
+
+
 @pytest.mark.parametrize("lost", ["go_on", "hold"])
 def test_a_drop_out_is_bridged_and_a_loss_is_said(stage, robot, show, lost):
     leader = Leader(

@@ -92,6 +92,9 @@ class ModelPlayer:
         self._leg: Follow | None = None
         self._coming: Follow | None = None
         self.starts = 0
+        self.way_ns = 0
+        """How long the robot goes to a place that was sought."""
+        self._there_ns = 0
 
     def act(self, action: Action, now_ns: int) -> None:
         match action:
@@ -121,7 +124,10 @@ class ModelPlayer:
             leg = self._leg
             if now_ns >= leg.instant_ns:
                 show_s = leg.show_s + leg.rate * (now_ns - leg.instant_ns) / NS_PER_S
-                self.view = PlayerView("playing", show_s)
+                if leg.rate == 0.0 and show_s != self.view.show_s:
+                    self._there_ns = leg.instant_ns + self.way_ns
+                stands = leg.rate == 0.0 and now_ns >= self._there_ns
+                self.view = PlayerView("playing", show_s, stands=stands)
                 if show_s >= self._duration_s:
                     self.view = PlayerView("ended")
         return self.view

@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from campaign.outside import _rows, _stored, robot_of
@@ -24,6 +25,12 @@ from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot, servos_of
 from lss_motion.sim.pty import serve_buses
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sim.bus import SimBus
 
 MOVE = re.compile(rb"#\d+D-?\d+")
 STEP_NS = 5 * NS_PER_MS
@@ -56,6 +63,16 @@ def serve(robot_path: str, link: str, out: Path) -> None:
     started_ns = time.monotonic_ns()
     serve_buses(buses, Path(link), announce=lambda text: print(text, flush=True))
     end_ns = time.monotonic_ns() + SETTLE_NS
+    verdict = verdict_of(robot, buses, started_ns, end_ns)
+    fresh = out.with_suffix(".new")
+    fresh.write_text(json.dumps(verdict), encoding="utf-8")
+    fresh.replace(out)
+
+
+def verdict_of(
+    robot: Robot, buses: Mapping[str, SimBus], started_ns: int, end_ns: int
+) -> dict[str, Any]:
+    """Return what the judge objects to, the lines that a bus got, and the moves of its servos."""
     servos, lines = [], {}
     for name, bus in buses.items():
         bus.advance(end_ns)
@@ -88,10 +105,7 @@ def serve(robot_path: str, link: str, out: Path) -> None:
         for at, line in each
         if MOVE.match(line)  # Not `#1QDT`.
     ]
-    verdict = {"objections": found, "lines": commands, "moves": moves}
-    fresh = out.with_suffix(".new")
-    fresh.write_text(json.dumps(verdict), encoding="utf-8")
-    fresh.replace(out)
+    return {"objections": found, "lines": commands, "moves": moves}
 
 
 if __name__ == "__main__":

@@ -45,6 +45,79 @@ def test_a_leg_takes_effect_a_second_ahead_for_all():
     assert max(shown) - min(shown) <= 0.02  # They are seen at the ticks of the model.
 
 
+def test_another_speed_is_one_that_figures_follow_and_lasts_until_the_next_start():
+    world = playing(show_s=60.0)
+    conductor = world.conductor
+    for asked, rate in ((0.5, 0.5), (0.07, 0.2), (0.9, 0.85), (0.93, 1.0), (0.33, 0.35)):
+        assert conductor.set_rate(asked, world.now_ns) == rate
+        world.run(2.5)
+        shown = [host.player.view.show_s for host in world.hosts.values()]
+        assert conductor.leg.rate == rate
+        assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
+    conductor.pause(world.now_ns)
+    assert conductor.leg.rate == 0.0
+    world.run(2.0)
+    conductor.resume(world.now_ns)
+    assert conductor.leg.rate == 0.35
+    conductor.end()
+    assert world.run(5.0, lambda: world.states() == {"ready"})
+    world.go()
+    assert conductor.leg.rate == 1.0
+
+
+def test_a_slow_show_is_slowed_further_for_a_lost_figure_as_far_as_figures_follow():
+    world = playing(others="slow", show_s=120.0)
+    world.conductor.set_rate(0.3, world.now_ns)
+    world.hosts["f2"].is_cut = True
+    world.run(4.0)
+    assert world.conductor.leg.rate == 0.2
+
+
+def test_nothing_is_paused_or_sought_that_does_not_play():
+    world = World(2, seed=3)
+    conductor = world.conductor
+    for call in (conductor.pause, conductor.resume, lambda ns: conductor.set_rate(0.5, ns)):
+        with pytest.raises(InputError, match="no show plays"):
+            call(0)
+    world = playing(show_s=30.0)
+    with pytest.raises(InputError, match=r"30 s is not in the show, which ends at 30.0 s"):
+        world.conductor.seek(30.0, world.now_ns)
+
+
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_a_sought_place_is_played_from_when_all_robots_stand_there(is_paused):
+    world = playing(show_s=60.0)
+    conductor = world.conductor
+    for name, host in world.hosts.items():
+        host.player.way_ns = (3 if name == "f2" else 1) * NS_PER_S
+    conductor.seek(40.0, world.now_ns)
+    if is_paused:
+        world.run(0.5)
+        conductor.pause(world.now_ns)
+    assert not world.run(3.5, lambda: conductor.leg.rate > 0.0)
+    assert {host.player.view.show_s for host in world.hosts.values()} == {40.0}
+    if is_paused:
+        assert not world.run(3.0, lambda: conductor.leg.rate > 0.0)
+        conductor.resume(world.now_ns)
+    assert world.run(1.5, lambda: conductor.leg.rate == 1.0)
+    assert conductor.leg.show_s == 40.0
+    assert conductor.leg.instant_ns >= world.now_ns + LEAD_NS - NS_PER_S // 10
+    world.run(3.0)
+    shown = [host.player.view.show_s for host in world.hosts.values()]
+    assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
+    for host in world.hosts.values():  # A robot that stands begins half of its ramp before.
+        early_ns = [one.instant_ns - at for at, one in host.player.follows if one.show_s == 40.0
+                    and one.rate > 0.5]  # fmt: skip
+        assert max(early_ns) > 400 * NS_PER_MS
+
+
+def test_a_figure_that_does_not_come_to_a_sought_place_is_not_waited_for_for_ever():
+    world = playing(show_s=60.0)
+    world.hosts["f2"].player.way_ns = 300 * NS_PER_S
+    world.conductor.seek(40.0, world.now_ns)
+    assert world.run(35.0, lambda: world.conductor.leg.rate == 1.0)
+
+
 def test_pause_and_resume_within_a_second_lose_nothing():
     world = playing()
     conductor = world.conductor

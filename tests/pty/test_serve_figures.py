@@ -1,0 +1,201 @@
+"""Two figures of a stage as real processes, steered together: judged at what both servos did."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig.robot import verdict_of
+
+from lss_motion.robot.load import load_robot
+from lss_motion.sim.bus import bus_from_robot
+from tests.pty.test_serve import free_port
+from tests.served_bus import served_bus
+from tests.swing import ROBOT, WAIT_S, until
+
+pytest.importorskip("zenoh", reason="needs the extra `network`")
+pytestmark = pytest.mark.realtime
+
+NS = 1_000_000_000
+STAGE = """\
+stage: pair
+figures:
+  left: {{robot: arm.yaml, address: "127.0.0.1:{port}"}}
+  right: {{robot: arm.yaml}}
+conductor: left
+shows: {{dance: dance.yaml}}
+listen: {{http: "127.0.0.1:{http}"}}
+log: {{ring_s: 0}}
+"""
+SWING_S, SWINGS = 0.6, 40
+STEP_NS = 2_000_000
+
+
+def angle_deg(number):
+    """Each swing ends at another angle, on the other side: so it is known by that."""
+    return (8 + 5 * number % 13) * (-1) ** number
+
+
+def turns_of(times_s, horn_deg):
+    """Return when and where a horn turned back after more than 4 degrees."""
+    found, best, way = [], 0, 0
+    for index in range(len(horn_deg)):
+        if way == 0:
+            way = int(np.sign(horn_deg[index] - horn_deg[0])) * (
+                abs(horn_deg[index] - horn_deg[0]) > 4.0
+            )
+        if way == 0 or way * (horn_deg[index] - horn_deg[best]) >= 0:
+            best = index
+        elif way * (horn_deg[best] - horn_deg[index]) > 4.0:
+            found.append((times_s[best], horn_deg[best]))
+            best, way = index, -way
+    return found
+
+
+class Pair:
+    """Both computers of the stage, as processes; `ask` is the API of the conductor's pages."""
+
+    def __init__(self, *options):
+        self.http = free_port()
+        Path("arm.yaml").write_text(ROBOT)
+        keys = ""
+        for n in range(SWINGS):
+            deg = f"{{left.a: {angle_deg(n)}, right.a: {angle_deg(n)}}}"
+            keys += f"  - {{at_s: {SWING_S * n:.1f}, deg: {deg}}}\n"
+        Path("dance.yaml").write_text(f"sequence: dance\nrobot: arm.yaml\nkeyframes:\n{keys}")
+        Path("pair.yaml").write_text(STAGE.format(port=free_port(), http=self.http))
+        self.lines = {"left": [], "right": []}
+        self.processes, self._readers = {}, []
+        self._serve("left", "--json", *options)
+        self._serve("right")
+        until(lambda: '"token"' in "".join(self.lines["left"]))
+        self.token = re.search(r'"token": "([^"]+)"', "".join(self.lines["left"]))[1]
+
+    def _serve(self, name, *options):
+        words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "pair.yaml"]
+        self.processes[name] = subprocess.Popen(
+            [*words, "--figure", name, "--port", f"./{name}", *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "LSS_MOTION_STATE_DIR": str(Path.cwd() / "state")},
+        )
+        reader = threading.Thread(
+            target=self.lines[name].extend, args=(self.processes[name].stdout,)
+        )
+        reader.start()
+        self._readers.append(reader)
+
+    def ask(self, path, **fields):
+        """Return the answer of the server; with fields, or an operation, it is asked to do."""
+        request = urllib.request.Request(
+            f"http://127.0.0.1:{self.http}{path}",
+            method="GET" if path == "/state" else "POST",
+            headers={"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"},
+            data=json.dumps(fields).encode() if fields else None,
+        )
+        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+            return json.loads(answer.read())
+
+    def hosts(self):
+        return {one["name"]: one for one in self.ask("/state").get("hosts", ())}
+
+    def play(self):
+        """Wait until both play."""
+        until(lambda: [one["state"] for one in self.hosts().values()] == ["playing"] * 2)
+
+    def do(self, operation, **fields):
+        """Ask for an operation; return when that was."""
+        at_ns = time.monotonic_ns()
+        assert self.ask(f"/op/{operation}", **fields) == {"accepted": operation}
+        return at_ns
+
+    def end(self):
+        """End both by Ctrl-C, the conductor first; return their exit codes."""
+        codes = {}
+        for name, process in self.processes.items():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                try:
+                    codes[name] = process.wait(WAIT_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    codes[name] = process.wait()
+        for reader, process in zip(self._readers, self.processes.values(), strict=True):
+            reader.join()
+            process.stdout.close()
+            process.stdin.close()
+        return codes
+
+
+@contextlib.contextmanager
+def pair(*options):
+    """Yield both computers, and the buses of their robots."""
+    Path("arm.yaml").write_text(ROBOT)
+    robot = load_robot(Path("arm.yaml"))
+    buses = [bus_from_robot(robot, "main", seed=1) for _ in range(2)]
+    for bus in buses:
+        bus.record()
+    with served_bus(buses[0], Path("left")), served_bus(buses[1], Path("right")):
+        own = Pair(*options)
+        try:
+            yield own, robot, buses
+        finally:
+            own.end()
+
+
+def objections_to(robot, bus, began_ns):
+    """Return what the independent judge objects to in what a servo received and did."""
+    return verdict_of(robot, {"main": bus}, began_ns, time.monotonic_ns() + NS)["objections"]
+
+
+def test_pause_rate_and_seek_reach_both_servos_at_the_same_instant(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    began_ns = time.monotonic_ns()
+    with pair("--go") as (own, robot, buses):
+        own.play()
+        slower_ns = own.do("rate", ratio=0.5)
+        time.sleep(2.5)
+        paused_ns = own.do("pause")
+        time.sleep(2.0)
+        sought_ns = own.do("seek", to=SWING_S * 20)
+        until(lambda: {one["show_s"] for one in own.hosts().values()} == {SWING_S * 20})
+        time.sleep(1.0)
+        own.do("rate", ratio=1.0)
+        resumed_ns = own.do("resume")
+        time.sleep(2.7)
+        assert own.end() == {"left": 0, "right": 0}
+        assert [objections_to(robot, bus, began_ns) for bus in buses] == [[], []]
+    times_ns = np.arange(slower_ns, resumed_ns + 5 * NS // 2, STEP_NS)
+    horns = [bus.horn_deg(times_ns)[:, 0] for bus in buses]
+    assert np.percentile(np.abs(horns[0] - horns[1]), 90) < 0.5, "at 80 deg/s, 6 ms"
+    for horn_deg in horns:
+        turns = turns_of(times_ns, horn_deg)
+        before = [deg for at, deg in turns if at < sought_ns]
+        first = next(n for n in range(26) if abs(angle_deg(n) - before[0]) < 0.6)
+        assert len(before) >= 3
+        assert before == pytest.approx([angle_deg(first + n) for n in range(len(before))], abs=0.9)
+        slow_s = [at / NS for at, _ in turns if slower_ns + 1.3 * NS < at < paused_ns + NS]
+        assert np.diff(slow_s) == pytest.approx([2 * SWING_S] * (len(slow_s) - 1), abs=0.1)
+        # It stands while it is paused, and at the place that was sought until it goes on.
+        for from_ns, to_ns in (
+            (sought_ns - NS // 3, sought_ns),
+            (resumed_ns, resumed_ns + NS // 2),
+        ):
+            stood_deg = horn_deg[(times_ns >= from_ns) & (times_ns < to_ns)]
+            assert np.ptp(stood_deg) < 0.3
+        assert stood_deg == pytest.approx(angle_deg(20), abs=0.5)
+        after = [deg for at, deg in turns if at > resumed_ns + 1.2 * NS]
+        assert after[:2] == pytest.approx([angle_deg(21), angle_deg(22)], abs=0.9)
