@@ -95,9 +95,8 @@ def query_each(
     def query(ids: Iterable[int], keyword: str, times: int) -> None:
         asked = [servo_id for servo_id in ids for _ in range(times)]
         steps = [discovery.question_alone(servo_id, keyword, baud_bps) for servo_id in asked]
-        for servo_id, data in zip(
-            asked, connection.run(Listening(bus_name, steps)).received, strict=True
-        ):
+        received = connection.run(Listening(bus_name, steps)).received
+        for servo_id, data in zip(asked, discovery.own_answers(asked, received), strict=True):
             replies[servo_id].append(data)
 
     query(models, "QMS", discovery.ASKED_ALONE)

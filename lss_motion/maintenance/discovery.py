@@ -140,6 +140,27 @@ def question_alone(servo_id: int, keyword: str, baud_bps: int) -> Step:
     return _question(servo_id, keyword, listen_ns, baud_bps)
 
 
+def own_answers(asked: Sequence[int], received: Sequence[bytes]) -> list[bytes]:
+    """Return the data after the query to each id of `asked`, without whole answers of other ids.
+
+    Another host causes those. They may begin after one query and end after the next.
+    """
+    whole = b"".join(received)
+    places = [index for index, data in enumerate(received) for _ in data]
+    left = [bytearray() for _ in received]
+    end = 0
+    for match in _CLEAN.finditer(whole):
+        first, last = places[match.start()], places[match.end() - 1]
+        if int(match[1]) in (asked[first], asked[last]):
+            continue
+        for place in range(end, match.start()):
+            left[places[place]].append(whole[place])
+        end = match.end()
+    for place in range(end, len(whole)):
+        left[places[place]].append(whole[place])
+    return [bytes(data) for data in left]
+
+
 def is_damaged(servo_id: int, data: bytes) -> bool:
     """Return whether the data after one query is more than one clean answer or silence."""
     return bool(data) and (len(_values(servo_id, data)) != 1 or _CLEAN.sub(b"", data) != b"")
@@ -149,12 +170,13 @@ def judge_answers(servo_id: int, model: str, received: Sequence[bytes]) -> Servo
     """Return the device that answered to an id that was queried alone; None without an answer.
 
     The id is shared by several devices if three quarters of the answers were damaged or doubled,
-    or if two serial numbers came more than once each.
+    or if two serial numbers came more than once each. Devices answer every time: damaged bytes
+    after half of the queries or fewer belong to what another host asked.
     """
     answers = [data for data in received if data]
-    if not answers:
-        return None
     clean = [data for data in answers if not is_damaged(servo_id, data)]
+    if not clean and 2 * len(answers) <= len(received):
+        return None
     counts = _numbers(servo_id, received).most_common(2)
     models = [text for data in answers for key, text in _values(servo_id, data) if key == "QMS"]
     is_shared = 4 * len(clean) <= len(answers) or (len(counts) > 1 and counts[1][1] > 1)

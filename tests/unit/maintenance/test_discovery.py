@@ -107,11 +107,14 @@ def test_the_condition_of_all_three_families_is_read(connected, spec):
     assert looks[209].status is None
 
 
-@pytest.mark.parametrize(("line", "every_s"), [("#5QD", 0.05), ("#5QMS", 0.1), ("#5QV", 0.37)])
+@pytest.mark.parametrize(
+    ("line", "every_s"), [("#5QD", 0.05), ("#5QD", 0.1), ("#5QMS", 0.1), ("#5QV", 0.37)]
+)
 def test_another_host_is_noticed_by_the_replies_that_it_causes(connected, spec, line, every_s):
     master = Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=every_s)
     connection = connected(spec(5), spec(6), faults=[master])
     looks = {look.servo_id: look for look in survey(connection, connection.buses["main"], 115200)}
+    assert set(looks) == {5, 6}, "its replies are no servos at other ids"
     assert looks[5].unasked > 0
     assert looks[6].unasked == 0
     assert not looks[5].identity.is_shared
