@@ -308,6 +308,21 @@ def _frame_remedy(joint: Joint, had: Mapping[str, int], stored: Answers, robot: 
     return (
         f"If the robot file is right: lss-motion configure {path} --joint {joint.name} {sets}. If "
         f"the servo is right, write `stored: {{{lines}}}` at this joint"
+        f"{_units_remedy(joint) if had.keys() & SCALED else ''}"
+    )
+
+
+SCALED: Final = frozenset({"O", "AR"})
+"""The settings of a frame that are angles, in units that an LSS-PRO may have otherwise."""
+
+
+def _units_remedy(joint: Joint) -> str:
+    """Return how a value in another unit is mended: stored anew, it would be multiplied."""
+    if joint.model.family is not Family.LSS_PRO:
+        return ""
+    return (
+        ". An LSS-PRO may count in other units: then leave it as it is, write `units` into the "
+        "robot file, and play with --careful"
     )
 
 
@@ -371,7 +386,7 @@ def _limit_refusals(joint: Joint, answers: Answers, robot: Robot) -> Iterator[Re
             error = InputError(
                 f"joint {joint.name!r}: the robot file requires {needed:g} {unit}, but servo "
                 f"{joint.servo_id} is set to {allowed:g} {unit} ({keyword[1:]}). Lower the limit "
-                f"in the robot file, or configure the servo",
+                f"in the robot file, or configure the servo{_units_remedy(joint)}",
                 path=robot.path,
                 line=joint.lines.get("speed_max_deg_s" if is_speed else "accel_max_deg_s2"),
             )

@@ -127,6 +127,18 @@ def test_a_frame_that_the_file_does_not_state_is_that_of_the_factory(kit):
         checks.check_answers([pro], answers(QMS="LSS-P-S1", QO=-300), kit.robot(pro))
 
 
+@pytest.mark.parametrize("said", [{"QSD": 1800}, {"QAA": 100}, {"QAR": 18000}])
+def test_an_lss_pro_that_may_count_in_other_units_is_not_to_be_configured(kit, said):
+    right = {"QMS": "LSS-P-S1", "QSD": 18000, "QAA": 100_000, "QAD": 100_000, "QAR": 1800}
+    pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"])
+    checks.check_answers([pro], answers(**right), kit.robot(pro))
+    with pytest.raises(InputError, match="may count in other units: then leave it as it is, write"):
+        checks.check_answers([pro], answers(**{**right, **said}), kit.robot(pro))
+    with pytest.raises(InputError) as refused:
+        checks.check_answers([kit.joint()], answers(QSD=900, QAR=3600), kit.robot())
+    assert "units" not in str(refused.value)
+
+
 def test_a_frame_that_lasts_until_a_restart_is_mended_by_one(kit):
     stored = {("main", 1, "QG"): 1}
     with pytest.raises(InputError, match=r"It has that until it restarts: .* --id 1 RESET"):
