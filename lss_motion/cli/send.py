@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -28,6 +29,7 @@ Send one command to one servo and print its reply. Values have the units of the 
   lss-motion send --port /dev/ttyUSB0 --id 5 QD            prints *5QD132   13.2 deg
   lss-motion send --port /dev/ttyUSB0 --id 5 D 90 T 500    moves to 90 deg in 500 ms
   lss-motion send --port /dev/ttyUSB0 --id 5 --raw D900T500    the same, as on the wire
+  lss-motion send --port /dev/ttyUSB0 --id 5 QSD1          the stored value, as QSD 1
   lss-motion send --robot my_robot.yaml --id 5 QV          port and family from the robot file
 
 Without a robot file the servo is asked for its model and its firmware first (QMS, QF).
@@ -39,6 +41,10 @@ does, and are asked; --yes skips the question. With --robot a move keeps the ran
 its joint: T is made longer, and a target outside is refused. --force sends it all the same, and a
 command to every servo (id 254). On sim:// nothing is asked, but the same is refused.
 """
+
+
+WITH_VALUE: Final = re.compile(r"([A-Za-z]+)(-?[0-9]+)")
+"""`D900` and `QSR1`, as the documents write them. A query has no unit in that place."""
 
 
 def add_to(commands: Commands) -> None:
@@ -239,6 +245,13 @@ def _command(arguments: argparse.Namespace, servo: _Servo) -> Command:
         if len(parsed) != 1 or not isinstance(parsed[0], Command):
             raise InputError(f"{line!r} is not one command of the form #<id><KEYWORD><value>")
         return parsed[0]
+    if joined := WITH_VALUE.fullmatch(words[0]):
+        if not joined[1].upper().startswith("Q") or len(words) > 1:
+            raise InputError(
+                f"{words[0]!r} is a keyword with a value: give {joined[1]} and the value as two "
+                f"words, in the units of `lss-motion reference`; or --raw sends it unchanged"
+            )
+        words = [joined[1], joined[2]]
     numbers = [_number(word) for word in words[1::2]]
     if len(words) % 2 == 1 and len(words) > 1:
         raise InputError("a keyword is followed by a value, then by pairs of modifier and value")

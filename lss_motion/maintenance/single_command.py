@@ -98,9 +98,10 @@ def judge(
             note = "no robot file gives the range and the speed of this servo"
             return Verdict(command=command, text=text, consent=Consent.QUESTION, notes=(note,))
         return _move(command, joint, standing or Standing())
-    return Verdict(
-        command=command, text=text, consent=Consent.QUESTION, notes=(_lasts(meant, keyword),)
-    )
+    notes = [_lasts(meant, keyword)]
+    if keyword == "RESET" and language_table(language).family is Family.LSS_PRO:
+        notes.append("its port is gone for up to 10 s if the USB cable is at this servo")
+    return Verdict(command=command, text=text, consent=Consent.QUESTION, notes=tuple(notes))
 
 
 def _repeats(command: Command) -> bool:

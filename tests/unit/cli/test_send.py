@@ -73,6 +73,8 @@ def served(link, *specs, faults=()):
         (["QAA"], "*5QAA100   1000 deg/s²"),
         (["QSD"], "*5QSD3600   360 deg/s"),
         (["QSD", "1"], "*5QSD3600   360 deg/s"),
+        (["QSR1"], "*5QSR60   60 rpm"),
+        (["qf3"], "*5QF370.0.0   370.0.0"),
         (["QB"], "*5QB115200   115200 bps"),
         (["Q"], "*5Q1   limp"),
         (["Q", "1"], "*5Q0   none"),
@@ -125,6 +127,17 @@ def test_values_are_in_units_and_reach_the_servo_in_its_own(send, tmp_path):
     assert (code, out) == (EXIT_FINISHED, "*5QLED3   blue")
 
 
+def test_a_restart_that_takes_the_port_away_is_announced(send, tmp_path):
+    link = tmp_path / "port"
+    to = ("--port", link, "--id", 5, "RESET", "--yes")
+    with served(link, ServoSpec(servo_id=5, model=SERVO_MODELS["LSS-P-S1"])):
+        code, _, errors = send(*to)
+        assert code == EXIT_FINISHED
+        assert "its port is gone for up to 10 s if the USB cable is at this servo" in errors
+    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])):
+        assert "port" not in send(*to)[2]
+
+
 def test_a_board_obeys_and_answers(send, tmp_path):
     link = tmp_path / "port"
     asked = ("--port", link, "--family", "LSS-2IO")
@@ -163,6 +176,8 @@ def test_a_port_that_does_not_exist_is_named(send):
     ("words", "said"),
     [
         (["QDD"], "'QDD' is no LSS keyword; did you mean QD"),
+        (["QSR9"], "QSR with suffix 9: allowed are 0 (session value), 1"),
+        (["D450"], "'D450' is a keyword with a value: give D and the value as two words"),
         (["D", "fast"], "'fast' is not a number"),
         (["D", "90", "T"], "then by pairs of modifier and value"),
         (["LED", "9"], "LED 9: allowed are 0 to 7"),
