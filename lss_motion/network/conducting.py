@@ -40,13 +40,17 @@ if TYPE_CHECKING:
 
     Record = dict[str, Any]
 
+WITHOUT_S: Final = 10.0
+"""With `others: go_on`, figures that cannot take part are waited for so long before a show starts
+without them. Chosen: a process that starts again is there in 4 s."""
 READY_S: Final = 30.0
 """A show whose figures are not ready by then is refused, with the reasons. Chosen: a plan is
 fetched and verified in seconds."""
 FALLEN_S: Final = 10.0
 """A show ends so long after a figure fell that does not come back by itself."""
 LOST_S: Final = 60.0
-"""The same after a figure was lost: its computer may start again."""
+"""The same after a figure was lost: its computer may start again. So long, too, a stage with
+`others: go_on` waits for all its figures before it begins without some."""
 CHASE_NS: Final = NS_PER_S
 """Legs that follow the timecode are so far apart, as each is made a second ahead."""
 OFF_S: Final = 1e-3
@@ -114,6 +118,7 @@ class Conducting:
         self._order: orders.Play | None = None
         """The show that plays, or is about to."""
         self._must_connect = True
+        self._connecting_ns: int | None = None
         self._plays_first = plays_first
         self._bad_ns: int | None = None
         """Since when a figure does not play."""
@@ -147,9 +152,9 @@ class Conducting:
         """Do what is due."""
         self.now_ns = now_ns
         director = self.director
-        if self._must_connect and not self._absent():
-            self._must_connect = False
-            self.records.note("connected", "all figures are there")
+        if self._must_connect and (text := self._connected()):
+            self._must_connect, self._connecting_ns = False, None
+            self.records.note("connected", text)
             director.connected(now_ns)
             if self._plays_first:
                 self._plays_first = False
@@ -197,6 +202,19 @@ class Conducting:
     def note_counts(self) -> None:
         """Keep what was counted since the last time."""
         self.records.note_counts(self.now_ns, is_last=True)
+
+    def _connected(self) -> str:
+        """Return that the stage may begin, and with which figures; empty: it waits for some."""
+        if self._connecting_ns is None:
+            self._connecting_ns = self.now_ns
+        absent = self._absent()
+        if not absent:
+            return "all figures are there"
+        is_long = self.now_ns - self._connecting_ns > ns_from_s(LOST_S)
+        may_go_without = self.stage.retry.others == "go_on"
+        if is_long and may_go_without and len(absent) < len(self.conductor.seats):
+            return f"begins without {', '.join(absent)}"
+        return ""
 
     def _absent(self) -> list[str]:
         seats = self.conductor.seats.values()
@@ -262,9 +280,12 @@ class Conducting:
     def _make_ready(self) -> None:
         assert self._order is not None
         problems = self.host.problems()
+        waited_s = s_from_ns(self.now_ns - self._since_ns)
         if problems:
-            if self.now_ns - self._since_ns > ns_from_s(READY_S):
+            if waited_s > READY_S:
                 self._refuse("; ".join(problems))
+            return
+        if self.conductor.absent(self.now_ns) and waited_s < WITHOUT_S:
             return
         place_s = self._order.start_s or 0.0
         if (leader := self._leader()) is not None and leader.rate >= RUNNING_RATE:

@@ -10,7 +10,7 @@
 them must know; it is sent `BEAT_NS` apart and whenever it changes.
 
 A figure that is lost, out or faulted while a show plays leaves the others to `others`: they go on,
-slow down, or hold until it is back.
+slow down, or hold until it is back. With `go_on` a show also starts without it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SEEK_MAX_NS: Final = 30 * NS_PER_S
 takes less."""
 SLOW_RATIO: Final = 0.5
 """With `others: slow`. Chosen: slow enough to be seen, and the show is still one."""
-GRACE_NS: Final = 5 * NS_PER_S
+CONNECT_NS: Final = 5 * NS_PER_S
 """Figures that have not connected are named after this time."""
 NOTE_AGAIN_NS: Final = NS_PER_S
 """A figure that comes and goes is named no more often. What it does is not delayed by that."""
@@ -127,6 +127,8 @@ class Conductor:
         self._start_s = 0.0
         self._notes: list[str] = []
         self._begun_ns: int | None = None
+        self._without: set[str] = set()
+        """Figures that did not take part when the show was started."""
         self._is_seeking = False
         """Whether the show stands until all robots are at the place of its leg."""
         self._refused = ""
@@ -253,6 +255,9 @@ class Conductor:
             return
         if problems := self.problems(now_ns):
             raise InputError("not all figures are ready: " + "; ".join(problems))
+        absent = self.absent(now_ns)
+        self._notes += [f"starts without {name}: {why}" for name, why in absent.items()]
+        self._without = set(absent)
         self.run += 1
         self._start_s = start_s
         self.wanted, self.leg = "armed", None
@@ -267,7 +272,7 @@ class Conductor:
         self._require_sole()
         if self.leg is not None:
             return self.leg
-        waiting = [seat.name for seat in self._cast_seats() if not self._is_armed(seat, now_ns)]
+        waiting = [seat.name for seat in self._expected() if not self._is_armed(seat, now_ns)]
         if self.wanted != "armed" or waiting:
             names = ", ".join(waiting) or "none was asked"
             raise InputError(f"not all figures stand at the start: {names}")
@@ -357,7 +362,7 @@ class Conductor:
         if self._begun_ns is None:
             self._begun_ns = now_ns
         for seat in self._cast_seats():
-            if seat.status is None and now_ns - self._begun_ns < GRACE_NS:
+            if seat.status is None and now_ns - self._begun_ns < CONNECT_NS:
                 continue
             problem = self._problem(seat, now_ns)
             self._note(seat, problem, now_ns)
@@ -378,15 +383,22 @@ class Conductor:
 
     def problems(self, now_ns: int) -> list[str]:
         """Return why the show cannot start, a sentence for each figure; empty: it can."""
-        found = []
+        found, absent = [], self.absent(now_ns)
+        may_go_without = self.others == "go_on" and len(absent) < len(self._cast_seats())
         for seat in self._cast_seats():
-            if problem := self._problem(seat, now_ns):
-                found.append(f"{seat.name}: {problem}")
+            if problem := absent.get(seat.name):
+                if not may_go_without:
+                    found.append(f"{seat.name}: {problem}")
             elif seat.is_twice(now_ns):
                 found.append(f"{seat.name}: {TWICE}")
             elif seat.status is not None and seat.status.state != "ready":
                 found.append(f"{seat.name} is {seat.status.state}")
         return found
+
+    def absent(self, now_ns: int) -> dict[str, str]:
+        """Return the figures that cannot take part now, and why."""
+        problems = ((seat.name, self._problem(seat, now_ns)) for seat in self._cast_seats())
+        return {name: problem for name, problem in problems if problem}
 
     def warnings(self) -> list[str]:
         """Return what is no reason to refuse a start, but should be known."""
@@ -405,14 +417,18 @@ class Conductor:
             and (seat.status.epoch, seat.status.run) == (self.epoch, self.run)
             and seat.status.state in ("stopped", "out")
             and bool(self._problem(seat, now_ns))
-            for seat in self._cast_seats()
+            for seat in self._expected()
         )
 
     def is_armed(self, now_ns: int) -> bool:
         """Return whether all robots stand at the start."""
         return self.wanted == "armed" and all(
-            self._is_armed(seat, now_ns) for seat in self._cast_seats()
+            self._is_armed(seat, now_ns) for seat in self._expected()
         )
+
+    def _expected(self) -> Sequence[FigureSeat]:
+        """Return the figures without which the show does not start."""
+        return [seat for seat in self._cast_seats() if seat.name not in self._without]
 
     def _cast_seats(self) -> Sequence[FigureSeat]:
         parts = self.seats if self.cast is None else self.cast.parts

@@ -54,7 +54,7 @@ moves to where the show will be. If that takes longer, the player rejoins later 
 
 KEPT_PLANS: Final = 16
 """So many verified plans are kept ready. Chosen: one of ten minutes with 18 joints has 3 MB."""
-GRACE_NS: Final = 5 * NS_PER_S
+SILENT_NS: Final = 5 * NS_PER_S
 """Without a conductor for so long after its start, a figure says so."""
 AT_LEISURE: Final = frozenset({"idle", "ready", "playing", "stopped", "ended"})
 """States in which what may be wanted later is fetched and verified, one plan at a time. An idle
@@ -166,13 +166,16 @@ class Figure:
         self._followed: tuple[int, int] | None = None
         self._notes: list[str] = []
         self._refused: set[str] = set()
+        self._passed_over_ns: dict[str, int] = {}
+        """When a conductor was first not followed whose epoch is too low, by its instance."""
 
     # ---- what arrives
 
     def take_beat(self, beat: Beat, now_ns: int) -> None:
         """Follow this conductor, or refuse it."""
         if why := self._refusal(beat, now_ns):
-            self._note_once(why)
+            if not self._may_begin_later(beat, now_ns):
+                self._note_once(why)
             return
         bound = self.beat
         is_new = bound is None or (bound.epoch, bound.instance) != (beat.epoch, beat.instance)
@@ -220,6 +223,11 @@ class Figure:
         except InputError as error:
             self._note_once(f"the cast cannot be read: {error}")
 
+    def take_missing(self, plan: str) -> None:
+        """Take that a plan which was to be verified is stored no more: it is fetched again."""
+        self._asked_verify.discard(plan)
+        self._contents.discard(plan)
+
     def take_verified(self, plan: str, problem: str) -> None:
         """Take the result of a `Verify`; `problem` is empty where the plan is good."""
         self._asked_verify.discard(plan)
@@ -261,7 +269,7 @@ class Figure:
         """Tell once that no conductor has been received: wrong keys, too, are only silence."""
         if self._begun_ns is None:
             self._begun_ns = now_ns
-        if self.beat is None and not self._is_silent and now_ns - self._begun_ns > GRACE_NS:
+        if self.beat is None and not self._is_silent and now_ns - self._begun_ns > SILENT_NS:
             self._is_silent = True
             self._notes.append(
                 f"nothing arrives from the conductor {self.conductor}: is it served, are address, "
@@ -328,6 +336,15 @@ class Figure:
         if not self._is_lost(now_ns):
             return f"{who} is refused: the first one ({bound.instance}) still conducts"
         return ""
+
+    def _may_begin_later(self, beat: Beat, now_ns: int) -> bool:
+        """Return whether a conductor with too low an epoch may not know yet that there was another.
+
+        It begins a later epoch when it gets the state of this figure.
+        """
+        first_ns = self._passed_over_ns.setdefault(beat.instance, now_ns)
+        is_ours = beat.protocol == PROTOCOL and beat.conductor == self.conductor
+        return is_ours and self._is_lost(now_ns) and now_ns - first_ns < LOST_NS
 
     def _rebind(self, beat: Beat) -> None:
         self._notes.append(f"follows conductor {beat.conductor} of epoch {beat.epoch}")

@@ -154,7 +154,8 @@ class Host:
         """What figures found about themselves (conductor only)."""
         self._examine, self._examined = examine, 0
         self._found: Findings | None = None
-        self._verified: deque[tuple[str, str]] = deque()
+        self._verified: deque[tuple[str, str | None]] = deque()
+        """Plans with why they cannot be played; None: they are stored no more."""
         self._asks: deque[Ask] = deque(maxlen=ASKS_MAX)
         self._asked: dict[str, tuple[str, int]] = {}
         self._ask_count = 0
@@ -235,6 +236,11 @@ class Host:
     def problems(self) -> list[str]:
         """Return why the show cannot start, a sentence for each figure (conductor only)."""
         return self._require_conductor().problems(self._now_ns())
+
+    def are_all_ready(self) -> bool:
+        """Return whether the show can start with all figures (conductor only)."""
+        conductor, now_ns = self._require_conductor(), self._now_ns()
+        return not conductor.problems(now_ns) and not conductor.absent(now_ns)
 
     def cue(self, name: str) -> None:
         """Fire a cue of the stage, from any computer."""
@@ -422,7 +428,11 @@ class Host:
     def _play(self, now_ns: int) -> None:
         figure = self.figure
         while self._verified:
-            figure.take_verified(*self._verified.popleft())
+            plan, problem = self._verified.popleft()
+            if problem is None:
+                figure.take_missing(plan)
+            else:
+                figure.take_verified(plan, problem)
         figure.take_clock(self.estimator.estimate(now_ns), self.estimator.round_trip_ns)
         figure.take_player(self.player.view(now_ns))
         for action in figure.tick(now_ns):
@@ -458,8 +468,7 @@ class Host:
 
     def _verify(self, plan: str) -> None:
         content = self._store.get(plan)
-        problem = "it is not stored" if content is None else self.player.prepare(content)
-        self._verified.append((plan, problem))
+        self._verified.append((plan, None if content is None else self.player.prepare(content)))
 
     def _ask_clock(self, now_ns: int) -> None:
         if not self._clock_of or now_ns < self._due_ns["clock"]:

@@ -290,7 +290,7 @@ class Commands:
                 self._fire(ask.cue, figure)
         conductor = self._host.conductor
         is_loaded = conductor is not None and conductor.wanted == "ready"
-        if self._starts and is_loaded and not self._host.problems():
+        if self._starts and is_loaded and self._host.are_all_ready():
             self._starts = False
             self._do(self._host.go)
 

@@ -291,7 +291,9 @@ class StageFaultEntry(FileModel, title="on_fault of a stage"):
         default=10.0, description="Before the first attempt; twice as long before each further one."
     )
     others: Literal["go_on", "slow", "hold"] = Field(
-        default="hold", description="What the other figures do when one has a fault."
+        default="hold",
+        description="What the other figures do without one; with go_on shows also start "
+        "without it.",
     )
 
 

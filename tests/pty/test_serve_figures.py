@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pythonosc.osc_message_builder import OscMessageBuilder
 from rig.robot import verdict_of
 
 from lss_motion.robot.load import load_robot
@@ -32,12 +34,13 @@ STAGE = """\
 stage: pair
 figures:
   left: {{robot: arm.yaml, address: "127.0.0.1:{port}"}}
-  right: {{robot: arm.yaml}}
+  right: {{robot: arm.yaml, listen: {{osc: "127.0.0.1:{osc}"}}}}
 conductor: left
 shows: {{dance: dance.yaml}}
 listen: {{http: "127.0.0.1:{http}"}}
 log: {{ring_s: 0}}
 """
+CUES = "cues:\n  - {cue: dance, on: {osc: /dance}, play: dance}\n"
 SWING_S, SWINGS = 0.6, 40
 STEP_NS = 2_000_000
 
@@ -66,7 +69,7 @@ def turns_of(times_s, horn_deg):
 class Pair:
     """Both computers of the stage, as processes; `ask` is the API of the conductor's pages."""
 
-    def __init__(self, *options):
+    def __init__(self, *options, more=""):
         self.http = free_port()
         Path("arm.yaml").write_text(ROBOT)
         keys = ""
@@ -74,7 +77,9 @@ class Pair:
             deg = f"{{left.a: {angle_deg(n)}, right.a: {angle_deg(n)}}}"
             keys += f"  - {{at_s: {SWING_S * n:.1f}, deg: {deg}}}\n"
         Path("dance.yaml").write_text(f"sequence: dance\nrobot: arm.yaml\nkeyframes:\n{keys}")
-        Path("pair.yaml").write_text(STAGE.format(port=free_port(), http=self.http))
+        self.osc_port = free_port(socket.SOCK_DGRAM)
+        stage = STAGE.format(port=free_port(), http=self.http, osc=self.osc_port)
+        Path("pair.yaml").write_text(stage + more)
         self.lines = {"left": [], "right": []}
         self.processes, self._readers = {}, []
         self._serve("left", "--json", *options)
@@ -112,8 +117,15 @@ class Pair:
     def hosts(self):
         return {one["name"]: one for one in self.ask("/state").get("hosts", ())}
 
+    def osc(self, address):
+        """Send a message to the other computer than that of the conductor."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+            own.sendto(OscMessageBuilder(address).build().dgram, ("127.0.0.1", self.osc_port))
+
     def play(self):
-        """Wait until both play."""
+        """Let a message at the other computer fire the cue, and wait until both play."""
+        until(lambda: self.ask("/state").get("state") == "idle")
+        self.osc("/dance")
         until(lambda: [one["state"] for one in self.hosts().values()] == ["playing"] * 2)
 
     def do(self, operation, **fields):
@@ -141,7 +153,7 @@ class Pair:
 
 
 @contextlib.contextmanager
-def pair(*options):
+def pair(*options, more=""):
     """Yield both computers, and the buses of their robots."""
     Path("arm.yaml").write_text(ROBOT)
     robot = load_robot(Path("arm.yaml"))
@@ -149,7 +161,7 @@ def pair(*options):
     for bus in buses:
         bus.record()
     with served_bus(buses[0], Path("left")), served_bus(buses[1], Path("right")):
-        own = Pair(*options)
+        own = Pair(*options, more=more)
         try:
             yield own, robot, buses
         finally:
@@ -161,10 +173,12 @@ def objections_to(robot, bus, began_ns):
     return verdict_of(robot, {"main": bus}, began_ns, time.monotonic_ns() + NS)["objections"]
 
 
-def test_pause_rate_and_seek_reach_both_servos_at_the_same_instant(tmp_path, monkeypatch):
+def test_a_cue_from_the_other_computer_pause_rate_and_seek_reach_both_servos_at_once(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     began_ns = time.monotonic_ns()
-    with pair("--go") as (own, robot, buses):
+    with pair(more=CUES) as (own, robot, buses):
         own.play()
         slower_ns = own.do("rate", ratio=0.5)
         time.sleep(2.5)

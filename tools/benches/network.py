@@ -24,7 +24,7 @@ from lss_motion.network.host import TICK_NS
 from lss_motion.network.messages import ClockAnswer, ClockQuestion, Status, packed, parse
 from lss_motion.network.settings import NetworkSettings
 from lss_motion.perform import Observer, perform
-from lss_motion.player.following import Following, FollowRule
+from lss_motion.player.following import SLOW_RATE, Following, FollowRule
 from lss_motion.player.show_clock import Leg
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.load import load_robot
@@ -247,7 +247,9 @@ class Told:
         self._follows = [(at - began_ns, follow) for at, follow in follows]
         self._began_ns = began_ns
         self._index = 0
-        self.following = Following(FollowRule(freewheel_s=3.0, lost="hold"))
+        self.following = Following(
+            FollowRule(freewheel_s=3.0, lost="hold", slowest=SLOW_RATE, goes_to_it=True)
+        )
 
     def filenos(self) -> list[int]:
         return []

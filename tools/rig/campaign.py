@@ -240,8 +240,9 @@ def _conductor(rig: RigStage, victim: str, random: Random, expect: Callable[...,
     number = random.choice((signal.SIGKILL, signal.SIGTERM))
     rig.kill("f0", number)
     if number == signal.SIGKILL:
-        # A show on a cue may not have begun to play yet.
-        expect(victim, "-> freewheeling|the conductor is lost before the start", 10.0)
+        # A show on a cue may not have begun to play yet, or its robots not to move.
+        moves = "-> freewheeling|the conductor is lost before the start"
+        expect(victim, f"{moves}|(ready|stopped) -> alone", 10.0)
         expect(victim, "-> holding|-> ended|-> alone", 20.0)
     else:
         expect(victim, "stops: the conductor stopped all|-> ended", 20.0)

@@ -156,6 +156,31 @@ def test_a_figure_that_is_lost_for_long_ends_the_show_and_the_stage_begins_again
     evening.until(lambda: evening.playing("idle"), 60.0)
 
 
+def test_a_stage_that_goes_on_without_a_figure_begins_without_one(tmp_path):
+    own = begun(tmp_path, STAGE.replace("others: hold", "others: go_on"))
+    world = own.world
+    own.conductor.others = "go_on"
+    world.hosts["f1"].is_cut = True
+    states = {}
+
+    def plays_without():
+        states.update({name: host.figure.state for name, host in world.hosts.items()})
+        return states["f0"] == states["f2"] == "playing"
+
+    own.until(plays_without, 100.0)
+    assert 60.0 < world.now_ns / NS_PER_S < 90.0
+    assert "begins without f1" in own.texts()
+    assert "starts without f1: it has not connected" in " ".join(world.notes)
+    world.hosts["f1"].is_cut = False
+    own.until(lambda: own.playing("idle"), 30.0)
+
+
+def test_a_stage_that_holds_for_a_figure_waits_for_it(evening):
+    evening.world.hosts["f1"].is_cut = True
+    evening.world.run(80.0, lambda: evening.run.turn(evening.world.now_ns))
+    assert evening.texts() == ""
+
+
 def test_a_cue_that_there_is_not_is_named_and_a_stop_ends_all(evening):
     evening.until(lambda: evening.playing("idle"), 30.0)
     evening.run.take("f1", ask(what="cue", cue="nothing"))

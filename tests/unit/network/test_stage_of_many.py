@@ -7,7 +7,7 @@ import pytest
 from benches.stage_model import LOOPBACK, WIFI, World
 from lss_motion.errors import InputError
 from lss_motion.network.conductor import LEAD_NS
-from lss_motion.network.figure import PlayerView
+from lss_motion.network.figure import Fetch, PlayerView, Verify
 from lss_motion.network.messages import Beat, StopAll, hash_of
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
@@ -291,6 +291,51 @@ def test_another_robot_stays_out_and_says_so():
         world.conductor.arm(world.now_ns)
 
 
+def test_the_others_start_without_a_figure_if_they_go_on_without_one():
+    world = World(3, seed=2, robots={"f1": hash_of(b"another robot")}, others="go_on", show_s=60.0)
+    conductor = world.conductor
+    conductor.load(world.cast)
+    assert world.run(10.0, lambda: not conductor.problems(world.now_ns))
+    assert list(conductor.absent(world.now_ns)) == ["f1"]
+    conductor.arm(world.now_ns)
+    assert world.run(10.0, lambda: conductor.is_armed(world.now_ns))
+    conductor.start(world.now_ns)
+    world.run(3.0)
+    states = {name: host.figure.state for name, host in world.hosts.items()}
+    assert states == {"f0": "playing", "f1": "out", "f2": "playing"}
+    assert not conductor.has_failed(world.now_ns)
+    assert "starts without f1: out: its robot file differs" in " ".join(world.notes)
+    world.hosts["f1"].figure.robot = world.cast.parts["f1"].robot  # It got the right file.
+    assert world.run(20.0, lambda: world.states() == {"playing"})
+
+
+def test_a_show_does_not_start_without_all_of_its_figures():
+    world = World(1, seed=2, robots={"f0": hash_of(b"another robot")}, others="go_on")
+    world.conductor.load(world.cast)
+    world.run(10.0)
+    with pytest.raises(InputError, match="f0: out"):
+        world.conductor.arm(world.now_ns)
+
+
+def test_a_plan_that_is_stored_no_more_is_fetched_again():
+    world = World(2, seed=1)
+    host = world.hosts["f1"]
+    plan, seen = world.cast.parts["f1"].plan, []
+
+    def do(action, now_ns):
+        if isinstance(action, Verify) and not seen:
+            seen.append(action)
+            host.figure.take_missing(plan)
+        else:
+            seen.extend([action] if isinstance(action, Fetch) and seen else [])
+            type(host)._do(host, action, now_ns)
+
+    host._do = do
+    world.conductor.load(world.cast)
+    assert world.run(10.0, lambda: world.states() == {"ready"}), host.log
+    assert [type(one) for one in seen] == [Verify, Fetch]
+
+
 def test_a_clock_that_is_not_known_refuses_the_start():
     slow = type(WIFI)(15 * NS_PER_MS, 0)
     world = World(2, seed=2, link=slow)
@@ -322,6 +367,33 @@ def test_second_and_stale_conductors_are_refused():
         assert figure.state == "playing"
         assert pytest.importorskip("re").search(why, " ".join(host.log))
     assert world.conductor.leg == leg
+
+
+def test_a_conductor_after_another_one_is_followed_without_a_word_about_its_epoch():
+    world = playing(show_s=60.0)
+    host = world.hosts["f1"]
+    first = forged(world)
+    world.is_conducting = False
+    world.run(8.0)
+    other = {"instance": "f" * 16, "wanted": "nothing", "leg": None, "count": 1}
+    host.figure.take_beat(first.model_copy(update=other), host.now_ns())
+    world.run(0.3)
+    host.figure.take_beat(first.model_copy(update={**other, "epoch": 2}), host.now_ns())
+    world.run(0.3)
+    assert "follows conductor f0 of epoch 2" in host.log
+    assert "refused" not in " ".join(host.log)
+
+
+def test_a_conductor_that_stays_at_an_old_epoch_is_named():
+    world = playing(show_s=60.0)
+    host = world.hosts["f1"]
+    stale = forged(world, instance="f" * 16, wanted="nothing", leg=None)
+    world.is_conducting = False
+    world.run(8.0)
+    for _ in range(12):
+        host.figure.take_beat(stale, host.now_ns())
+        world.run(0.1)
+    assert " ".join(host.log).count("is refused: a second one with the epoch of the first") == 1
 
 
 def test_a_second_conductor_that_began_later_does_not_end_the_show_of_the_first():
