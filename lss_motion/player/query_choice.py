@@ -177,6 +177,21 @@ class QueryChoice(ABC):
     def touch(self, bus: str, state: JointState | None = None) -> None:
         """Note that a servo has answered; without `state`: that any servo of a bus may have not."""
 
+    def begin_visit(self, bus: str, now_ns: int, soon_ns: int) -> bool:  # noqa: ARG002
+        """Choose a servo that is due by `soon_ns`; return whether there is one.
+
+        None is chosen where queries are late: then nothing may delay the moves.
+        """
+        return False
+
+    def next_of_visit(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
+        """Return the next query of the visit that goes on; None: there is none."""
+        raise NotImplementedError
+
+    def end_visit(self, bus: str) -> None:
+        """Ask nothing more in the visit that goes on."""
+        raise NotImplementedError
+
     def note_timeout(self, bus: str) -> None:  # noqa: B027  (only one kind of choice uses it)
         """Note that a query was not answered."""
 
@@ -347,23 +362,56 @@ class ByNeed(QueryChoice):
 
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
         """Return the next query of the visit to a servo; else of one to the most urgent servo."""
+        if (found := self.next_of_visit(bus, now_ns)) is not None:
+            return found
+        if not self.is_due(bus, now_ns):
+            return None
+        every = self._rounds[bus]
+        due = [index for index, due_ns in enumerate(every.dues_ns) if due_ns <= now_ns]
+        self._visit(bus, due, now_ns)
+        return every.states[every.visited], every.words[-1]
+
+    def next_of_visit(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
         every = self._rounds[bus]
         if every.words:
             self._look(bus, every)
             state = every.states[every.visited]
             if not self._watch.doubted and self._quiet_until_ns(bus, state) <= now_ns:
                 return state, every.words[-1]
-            every.words.clear()
-            every.stale.add(every.visited)
-        if not self.is_due(bus, now_ns):
-            return None
+            self.end_visit(bus)
+        return None
+
+    def begin_visit(self, bus: str, now_ns: int, soon_ns: int) -> bool:
+        """Choose a servo; one with a target that it cannot report yet is visited later."""
+        every = self._rounds[bus]
+        if not self.is_due(bus, soon_ns) or self.is_behind(bus, now_ns):
+            return False
+        if every.words:
+            return True
         due = [index for index, due_ns in enumerate(every.dues_ns) if due_ns <= now_ns]
+        due = due or [
+            index
+            for index, due_ns in enumerate(every.dues_ns)
+            if due_ns <= soon_ns
+            and _target_ns(every.states[index]) == math.inf
+            and self._quiet_until_ns(bus, every.states[index]) <= now_ns
+        ]
+        if due:
+            self._visit(bus, due, now_ns)
+        return bool(due)
+
+    def end_visit(self, bus: str) -> None:
+        every = self._rounds[bus]
+        every.words.clear()
+        every.stale.add(every.visited)
+
+    def _visit(self, bus: str, due: Sequence[int], now_ns: int) -> None:
+        """Begin a visit to the most urgent of the joints that are due."""
+        every = self._rounds[bus]
         every.visited = max(due, key=lambda index: self._merit(every.states[index], now_ns))
-        state = every.states[every.visited]
         others = (every.states[index] for index in due if index != every.visited)
         is_alone = all(_target_ns(other) > now_ns for other in others)
-        every.words = self._words(bus, state, now_ns, is_alone=is_alone)
-        return state, every.words[-1]
+        every.words = self._words(bus, every.states[every.visited], now_ns, is_alone=is_alone)
 
     def is_due(self, bus: str, now_ns: int) -> bool:
         every = self._rounds[bus]

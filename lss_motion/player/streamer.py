@@ -33,7 +33,7 @@ from lss_motion.player.joint_state import (
     Statistics,
     make_joint_states,
 )
-from lss_motion.player.polling import PollScheduler
+from lss_motion.player.polling import LATE_NS, PollScheduler
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.rate_ramps import (
     RAMP_TICK_NS,
@@ -147,8 +147,8 @@ class Streamer:
         self._tick_ns: int | None = None
         self._spots: list[Spot] = []
         self._back_at_s: float | None = None
-        self.has_moved = False
-        """Whether moves left in this call of `advance`."""
+        self.has_moved = self.is_late = False
+        """Whether moves left in this call of `advance`, and whether one was late."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
         self._beside = tuple(beside)
         scheduler = PollScheduler(self.all_states(), trackers, lines, self.waiting, probes, pace)
@@ -350,13 +350,12 @@ class Streamer:
     # ---- sending
 
     def advance(self, now_ns: int) -> None:
-        """Hand over to the lines what must leave by now: moves, or else queries.
+        """Hand over to the lines what must leave by now: moves, and queries to one servo of a bus.
 
-        To choose queries takes time, so they follow in the next call, after the moves have left. On
-        a host that is always late, moves are due in every call; then queries follow in the same
-        one.
+        To choose queries takes time, so others follow in the next call, after the moves have left.
+        On a host that is always late, moves are due in every call; then all follow in the same one.
         """
-        self.has_moved = False
+        self.has_moved = self.is_late = False
         if self._tick_ns is not None:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
@@ -364,10 +363,12 @@ class Streamer:
         self._wait(now_ns)
         self._resend_due(now_ns)
         self._send_spots(now_ns)
-        if self.scheduler is not None and (
-            not self._has_any_moved or self.scheduler.is_starved(now_ns)
-        ):
+        if self.scheduler is None:
+            return
+        if not self._has_any_moved or self.scheduler.is_starved(now_ns):
             self.scheduler.poll(now_ns, self.quiet_ns(now_ns))
+        elif not (self.is_late or any(other.is_late for other in self._beside)):
+            self.scheduler.poll_behind(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
@@ -387,7 +388,7 @@ class Streamer:
         else:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
         if self.scheduler is not None:
-            if self._has_any_moved and self.scheduler.look_ahead(now_ns):
+            if self._has_any_moved and self.scheduler.look_ahead(now_ns, self.quiet_ns(now_ns)):
                 wakeups_ns.append(now_ns + 1)
             wakeups_ns += self.scheduler.wakeups_ns(now_ns)
         return min((w for w in wakeups_ns if w > now_ns), default=None)
@@ -499,6 +500,7 @@ class Streamer:
         latest = {(one.move.bus, one.move.servo_id): one.number for _, one in due}
         for due_ns, one in due:
             self.has_moved = True
+            self.is_late |= now_ns - due_ns > LATE_NS
             if latest[one.move.bus, one.move.servo_id] == one.number:
                 self._send_due(one.due_us, one.move, now_ns, now_ns - due_ns)
             elif now_ns - due_ns > ON_TIME_NS:

@@ -97,6 +97,16 @@ class Desk:
 
     def ask(self, now_ns, quiet_until_ns=None):
         self.scheduler.poll(now_ns, quiet_until_ns)
+        self._hand_over(now_ns)
+
+    def behind(self, now_ns, quiet_until_ns=None):
+        """Poll behind moves that leave now."""
+        self.line.take()
+        self.scheduler.poll_behind(now_ns, quiet_until_ns)
+        self._free_ns = self.line.free_ns - self.line.time_ns(len(self.line._out))
+        self._hand_over(now_ns)
+
+    def _hand_over(self, now_ns):
         for command in self._parser.feed(self.line.take()):
             size_bytes = len(encode(command))
             self._free_ns = max(self._free_ns, now_ns) + self.line.time_ns(size_bytes)

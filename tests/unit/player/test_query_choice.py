@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import pytest
 
+from lss_motion.player.polling import AHEAD_NS
 from lss_motion.player.query_choice import (
     BY_NEED,
     HEALTH_LEAST,
@@ -161,3 +162,47 @@ def test_a_streamed_joint_that_moves_is_queried_twice_as_often(kit, is_lossy, hz
         desk.values[1, "QD"] = place
         desk.run(S + step * 20 * MS, S + (step + 1) * 20 * MS)
     assert len(asked(desk, "QD", from_ns=S)) == pytest.approx(hz, abs=2)
+
+
+def idle_until(desk):
+    """Run until no query is in flight; return when the next is due."""
+    now_ns = KNOWN_NS + S
+    desk.run(0, now_ns)
+    while True:
+        desk.run(now_ns, now_ns + 1)
+        wakeups_ns = [ns for ns in desk.scheduler.wakeups_ns(now_ns) if ns > now_ns + 3 * AHEAD_NS]
+        if desk.tracker.give_up_ns is None and wakeups_ns:
+            return min(wakeups_ns)
+        now_ns += MS // 4
+
+
+def test_a_servo_that_is_due_soon_is_polled_behind_a_move(kit):
+    desk = by_need(*joints(kit, 2))
+    next_ns, begun = idle_until(desk), len(desk.asked)
+    for early_ns in (2 * AHEAD_NS, AHEAD_NS // 2):
+        assert len(desk.asked) == begun, "it is not due so soon"
+        desk.line.send(b"#1D100T500\r", next_ns - early_ns)
+        desk.behind(next_ns - early_ns)
+    move_ns = desk.line.time_ns(len(b"#1D100T500\r"))
+    at_ns, arrival_ns, _, word = desk.asked[begun]
+    query_ns = desk.line.time_ns(len(b"#1QD\r"))
+    assert (word, arrival_ns) == ("QD", at_ns + move_ns + query_ns)
+    assert {one for *_, one, _ in desk.asked[begun:]} == {desk.asked[begun][2]}, "one servo"
+
+
+@pytest.mark.parametrize("make", ["no room", "not reported", "late"])
+def test_no_servo_is_polled_behind_a_move_if(kit, make):
+    """The next move is due, it cannot report the target of its last one yet, queries are late."""
+    (state,) = joints(kit, 1)
+    desk = by_need(state)
+    next_ns, begun, quiet_ns = idle_until(desk), len(desk.asked), None
+    at_ns = next_ns - AHEAD_NS // 2
+    if make == "no room":
+        quiet_ns = at_ns + desk.line.time_ns(len(b"#1QD\r")) - 1
+    elif make == "not reported":
+        state.note_sent(at_ns, 100, 400)
+        desk.line.sent_bytes += 1
+    else:
+        at_ns = next_ns + S // 5
+    desk.behind(at_ns, quiet_ns)
+    assert len(desk.asked) == begun

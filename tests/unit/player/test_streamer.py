@@ -165,11 +165,24 @@ def test_questions_wait_until_the_moves_have_left_unless_they_have_waited_too_lo
     stage, last_sent_ns = Stage(kit, dense, has_feedback=True), set()
     stage.streamer.scheduler.poll = lambda *_: last_sent_ns.add(stage.now_ns)
     stage.streamer.scheduler.is_starved = lambda _: is_starved
+    behind_ns = set()
+    stage.streamer.scheduler.poll_behind = lambda *_: behind_ns.add(stage.now_ns)
     stage.run(0.3)
     sent_ns = {START_NS + round(1e9 * at_s) for at_s, _ in stage.sent}
     assert len(sent_ns) == len(dense)
     assert sent_ns & last_sent_ns == (sent_ns if is_starved else set())
     assert {at_ns + 1 for at_ns in sent_ns} <= last_sent_ns
+    assert behind_ns == (set() if is_starved else sent_ns)
+
+
+def test_no_servo_is_polled_behind_a_move_that_is_late(kit):
+    stage, behind_ns = Stage(kit, (move(0.1, 40.0), move(0.3, 20.0)), has_feedback=True), []
+    stage.streamer.scheduler.is_starved = lambda _: False
+    stage.streamer.scheduler.poll_behind = lambda now_ns, _: behind_ns.append(now_ns)
+    for at_s in (0.1, 0.302):
+        stage.now_ns = START_NS + round(at_s * 1e9)
+        stage.step()
+    assert [len(stage.sent), behind_ns] == [2, [START_NS + round(0.1e9)]]
 
 
 def test_a_show_starts_with_what_is_due_before_its_time_0(kit):
