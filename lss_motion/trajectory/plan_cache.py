@@ -87,6 +87,10 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
 """What an entry may hold for the annotation of a field of `Mark`, `SlowSpan` and `Smoothing`."""
 
 
+_known_fields: dict[type[Any], list[tuple[str, tuple[type, ...]]]] = {}
+"""What `_fields` has returned: a long show has thousands of marks."""
+
+
 class _MissError(Exception):
     """An entry is not there, or is not a plan that may be played."""
 
@@ -220,13 +224,20 @@ def _arrays(
 
 
 def _made(kind: type[Value], stored: Mapping[str, Any]) -> Value:
-    for field in fields(kind):
-        value = stored[field.name]
-        if not isinstance(value, _TYPES[str(field.type)]):
-            raise TypeError(field.name)
+    for name, types in _fields(kind):
+        value = stored[name]
+        if not isinstance(value, types):
+            raise TypeError(name)
         if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(field.name)
+            raise ValueError(name)
     return kind(**stored)
+
+
+def _fields(kind: type[Any]) -> list[tuple[str, tuple[type, ...]]]:
+    """Return the fields of a kind of value, and what an entry may hold for each."""
+    if kind not in _known_fields:
+        _known_fields[kind] = [(field.name, _TYPES[str(field.type)]) for field in fields(kind)]
+    return _known_fields[kind]
 
 
 def _store(path: Path, name: str, trajectory: Trajectory) -> None:

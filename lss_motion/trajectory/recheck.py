@@ -176,37 +176,102 @@ def _block_within(motion: PathMotion, times_s: FloatArray, limits: _Limits) -> _
         c2 + 3.0 * from_s * c3,
     )
     square = (start_rates**2)[:, None]
-
-    def angle(u: FloatArray) -> FloatArray:
-        return np.asarray(c0 + u * (c1 + u * (c2 + u * c3)))
-
-    def speed(u: FloatArray) -> FloatArray:
-        rate = np.sqrt(np.maximum(square + 2.0 * slopes * u, 0.0))
-        return np.asarray((c1 + u * (2.0 * c2 + 3.0 * u * c3)) * rate)
-
-    # (2 c2 + 6 c3 u) (square + 2 slope u) + (c1 + 2 c2 u + 3 c3 u²) slope
-    a0 = 2.0 * c2 * square + c1 * slopes
-    a1 = 6.0 * c3 * square + 6.0 * c2 * slopes
-    a2 = 15.0 * c3 * slopes
-
-    def accel(u: FloatArray) -> FloatArray:
-        return np.asarray(a0 + u * (a1 + u * a2))
-
-    zero = np.zeros_like(width_s)
-    turns = [_inside(-a1 / (2.0 * a2), width_s)]
-    hardest = np.abs(np.stack([accel(u) for u in (zero, width_s, *turns)]))
-    fastest = np.abs(np.stack([speed(u) for u in (zero, width_s, *_roots(a0, a1, a2, width_s))]))
-    reached = [angle(u) for u in _roots(c1, 2.0 * c2, 3.0 * c3, width_s)]
-    (start_deg, start_deg_s), (end_deg, end_deg_s) = ((angle(u), speed(u)) for u in (zero, width_s))
+    cubics = _Cubics(c0, c1, c2, c3, width_s, square, slopes)
+    end_rates = np.sqrt(np.maximum(square + 2.0 * slopes * width_s, 0.0))
+    # Control points of the cubic, of its slope and of the acceleration: these lie between them.
+    w1, w2 = width_s * c1, width_s * width_s * c2
+    w3 = width_s * width_s * width_s * c3
+    end_deg = c0 + (w1 + (w2 + w3))
+    first_deg = c0 + w1 / 3.0
+    second_deg = first_deg + (w1 + w2) / 3.0
+    end_slopes = c1 + width_s * (2.0 * c2 + 3.0 * width_s * c3)
+    steepest = np.maximum(np.maximum(np.abs(c1), np.abs(end_slopes)), np.abs(c1 + width_s * c2))
+    fastest = steepest * np.maximum(np.sqrt(square), end_rates)
+    a0, a1, a2 = cubics.accels()
+    hardest = np.maximum(np.abs(a0), np.abs(a0 + 0.5 * width_s * a1))
+    np.maximum(hardest, np.abs(a0 + width_s * (a1 + width_s * a2)), out=hardest)
+    start_deg_s, end_deg_s = c1 * np.sqrt(square), end_slopes * end_rates
     is_within = (
-        limits.hold_angles(start_deg, end_deg, *reached)
-        and bool((fastest <= limits.speed_deg_s).all())
-        and bool((hardest <= limits.accel_deg_s2).all())
-        and limits.join((end_deg[:-1], end_deg_s[:-1]), (start_deg[1:], start_deg_s[1:]))
+        limits.hold_angles(c0, end_deg)
+        and cubics.hold_angles(limits, first_deg, second_deg)
+        and cubics.hold_speeds(limits, fastest)
+        and cubics.hold_accels(limits, hardest)
+        and limits.join((end_deg[:-1], end_deg_s[:-1]), (c0[1:], start_deg_s[1:]))
     )
     if not is_within:
         return None
-    return _Ends((start_deg[0], start_deg_s[0]), (end_deg[-1], end_deg_s[-1]))
+    return _Ends((c0[0], start_deg_s[0]), (end_deg[-1], end_deg_s[-1]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Cubics:
+    """The angles of all joints in all pieces: cubics of the path position `u`, 0 to the width.
+
+    Each check gets bounds of what it looks at. Only where those are beyond the limits the extremes
+    are computed: for one in 300 cubics of a plan that is at its limits all the time.
+    """
+
+    c0: FloatArray
+    c1: FloatArray
+    c2: FloatArray
+    c3: FloatArray
+    width_s: FloatArray
+    square: FloatArray
+    """Of the rate at the start; by piece, as width and slope of the rate."""
+    slopes: FloatArray
+
+    def accels(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the coefficients of the acceleration, a quadratic of `u`."""
+        # (2 c2 + 6 c3 u) (square + 2 slope u) + (c1 + 2 c2 u + 3 c3 u²) slope
+        a0 = 2.0 * self.c2 * self.square + self.c1 * self.slopes
+        a1 = 6.0 * (self.c3 * self.square + self.c2 * self.slopes)
+        return a0, a1, 15.0 * self.c3 * self.slopes
+
+    def hold_angles(self, limits: _Limits, *bounds_deg: FloatArray) -> bool:
+        """Return whether the angles stay in range, which they do where `bounds_deg` are."""
+        is_safe = np.ones(self.c0.shape, dtype=bool)
+        for deg in bounds_deg:
+            is_safe &= (deg >= limits.low_deg) & (deg <= limits.high_deg)
+        part, joints = self._part(~is_safe)
+        low_deg, high_deg = limits.low_deg[joints], limits.high_deg[joints]
+        return all(
+            bool(((deg >= low_deg) & (deg <= high_deg)).all())
+            for u in _roots(part.c1, 2.0 * part.c2, 3.0 * part.c3, part.width_s)
+            for deg in [part.c0 + u * (part.c1 + u * (part.c2 + u * part.c3))]
+        )
+
+    def hold_speeds(self, limits: _Limits, bounds_deg_s: FloatArray) -> bool:
+        """Return whether no speed is beyond its limit; `bounds_deg_s` are not below the speeds."""
+        part, joints = self._part(~(bounds_deg_s <= limits.speed_deg_s))
+        most_deg_s = limits.speed_deg_s[joints]
+        zero = np.zeros_like(part.width_s)
+        return all(
+            bool((np.abs(part.speeds(u)) <= most_deg_s).all())
+            for u in (zero, part.width_s, *_roots(*part.accels(), part.width_s))
+        )
+
+    def hold_accels(self, limits: _Limits, bounds_deg_s2: FloatArray) -> bool:
+        """Return whether no acceleration is beyond its limit, of which `bounds_deg_s2` is none."""
+        part, joints = self._part(~(bounds_deg_s2 <= limits.accel_deg_s2))
+        most_deg_s2 = limits.accel_deg_s2[joints]
+        a0, a1, a2 = part.accels()
+        turn = _inside(-a1 / (2.0 * a2), part.width_s)
+        return all(
+            bool((np.abs(a0 + u * (a1 + u * a2)) <= most_deg_s2).all())
+            for u in (np.zeros_like(turn), part.width_s, turn)
+        )
+
+    def speeds(self, u: FloatArray) -> FloatArray:
+        """Return the speeds at `u` of each piece."""
+        rate = np.sqrt(np.maximum(self.square + 2.0 * self.slopes * u, 0.0))
+        return np.asarray((self.c1 + u * (2.0 * self.c2 + 3.0 * u * self.c3)) * rate)
+
+    def _part(self, is_asked: NDArray[np.bool_]) -> tuple[_Cubics, NDArray[np.intp]]:
+        """Return some cubics in a row, and the joint of each."""
+        pieces, joints = np.nonzero(is_asked)
+        cubics = (c[pieces, joints] for c in (self.c0, self.c1, self.c2, self.c3))
+        shared = (one[pieces, 0] for one in (self.width_s, self.square, self.slopes))
+        return _Cubics(*cubics, *shared), joints
 
 
 def _moved(

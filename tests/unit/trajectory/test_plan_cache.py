@@ -16,8 +16,10 @@ import pytest
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Layer, Sequence
 from lss_motion.trajectory import plan_cache
+from lss_motion.trajectory.model import PathClock, PathMotion
+from lss_motion.trajectory.path import Path as JointPath
 from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.recheck import is_within_limits
+from lss_motion.trajectory.recheck import _Limits, _pieces_within, is_within_limits
 from lss_motion.trajectory.verify import verify
 from tests.unit.trajectory.shows import show
 
@@ -281,6 +283,55 @@ def test_the_closed_form_finds_what_the_samples_find(make_robot, frame):
             with pytest.raises(PlanningError):
                 verify(trajectory, weaker)
             assert not is_within_limits(trajectory, weaker)
+
+
+WIDTH_S = 0.5
+CLOSE_RATIO = 1e-4
+"""A limit is that much above or below an extreme, which a fine grid shows to a tenth of it."""
+
+
+@pytest.mark.parametrize("kind", ["angle", "speed", "accel"])
+def test_an_extreme_within_a_piece_is_found(kind):
+    generator, inner = np.random.default_rng(5), 0
+    u = np.linspace(0.0, WIDTH_S, 4001)
+    for _ in range(200):
+        c0, c1 = generator.uniform(50.0, 90.0), generator.uniform(-40.0, 40.0)
+        c2, c3 = generator.uniform(-200.0, 200.0, 2)
+        start, end = generator.uniform(0.3, 1.0, 2)
+        slope = (end**2 - start**2) / (2.0 * WIDTH_S)
+        rate = np.sqrt(start**2 + 2.0 * slope * u)
+        first, second = c1 + u * (2.0 * c2 + 3.0 * u * c3), 2.0 * c2 + 6.0 * u * c3
+        found = {
+            "angle": c0 + u * (c1 + u * (c2 + u * c3)),
+            "speed": np.abs(first * rate),
+            "accel": np.abs(second * rate**2 + first * slope),
+        }[kind]
+        inner += 0 < found.argmax() < len(u) - 1
+        cubic = np.array([c0, c1, c2, c3]).reshape(1, 4, 1)
+        path = JointPath(knots_s=np.array([0.0, WIDTH_S]), coefficients=cubic)
+        clock = PathClock(
+            times_s=np.array([0.0, (end - start) / slope]),
+            path_s=np.array([0.0, WIDTH_S]),
+            rates=np.array([start]),
+            rate_slopes=np.array([slope]),
+        )
+        for ratio, is_kept in ((1.0 + CLOSE_RATIO, True), (1.0 - CLOSE_RATIO, False)):
+            limits = limited(kind, ratio * float(found.max()))
+            assert (
+                _pieces_within(PathMotion(path=path, clock=clock), limits) is not None
+            ) == is_kept
+    assert inner > 5
+
+
+def limited(kind, most):
+    """Return limits of one joint, all of them infinite but one."""
+    limits = object.__new__(_Limits)
+    limits.low_deg, limits.high_deg = np.array([-np.inf]), np.array([np.inf])
+    limits.speed_deg_s, limits.accel_deg_s2 = np.array([np.inf]), np.array([np.inf])
+    limits.jump_deg_s = np.array([np.inf])
+    name = {"angle": "high_deg", "speed": "speed_deg_s", "accel": "accel_deg_s2"}[kind]
+    setattr(limits, name, np.array([most]))
+    return limits
 
 
 def test_a_jump_between_two_blocks_of_pieces_is_found(fast_show, make_robot, monkeypatch):
