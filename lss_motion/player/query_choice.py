@@ -408,7 +408,9 @@ class ByNeed(QueryChoice):
     def _visit(self, bus: str, due: Sequence[int], now_ns: int) -> None:
         """Begin a visit to the most urgent of the joints that are due."""
         every = self._rounds[bus]
-        every.visited = max(due, key=lambda index: self._merit(every.states[index], now_ns))
+        every.visited = due[0]
+        if len(due) > 1:
+            every.visited = max(due, key=lambda index: self._merit(every.states[index], now_ns))
         others = (every.states[index] for index in due if index != every.visited)
         is_alone = all(_target_ns(other) > now_ns for other in others)
         every.words = self._words(bus, every.states[every.visited], now_ns, is_alone=is_alone)

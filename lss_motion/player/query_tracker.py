@@ -197,6 +197,8 @@ class QueryTracker:
         self._flights: dict[int, _Flight] = {}
         self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
+        self._quickest_ns: int | None = None
+        """The latest of the earliest answers of all servos; None: an answer may have changed it."""
 
     def is_waiting(self, servo_id: int) -> bool:
         """Return whether a query to `servo_id` is in flight."""
@@ -305,7 +307,9 @@ class QueryTracker:
         if not self._flights:
             return 0
         end_ns = max(flight.end_ns for flight in self._flights.values())
-        quickest_ns = max(link.latency.earliest_ns for link in self._links.values())
+        if self._quickest_ns is None:
+            self._quickest_ns = max(link.latency.earliest_ns for link in self._links.values())
+        quickest_ns = self._quickest_ns
         return end_ns - quickest_ns - self._line.time_ns(QUERY_MAX_BYTES)
 
     def send(self, command: Command, now_ns: int, *, is_patient: bool = False) -> None:
@@ -348,6 +352,7 @@ class QueryTracker:
         if is_timed and now_ns < flight.give_up_ns and not flight.is_patient:
             began_ns = now_ns - self._line.time_ns(size_bytes)
             link.latency.take(began_ns - query.arrival_ns)
+            self._quickest_ns = None
         while (skipped := flight.waiting.popleft()) is not query:
             flight.is_doubtful = True
             self._lost.append(skipped)
@@ -365,6 +370,7 @@ class QueryTracker:
             flight, link = self._flights.pop(servo_id), self._links[servo_id]
             given_up += flight.waiting
             self.strays += len(flight.held)
+            self._quickest_ns = None
             link.quiet_until_ns = now_ns + STRAY_NS
             link.overdue |= {query.command.keyword: query.arrival_ns for query in flight.waiting}
             link.fail()
@@ -398,6 +404,7 @@ class QueryTracker:
         if link is not None and is_late:
             link.last_reply_ns = now_ns
             link.latency.forget(now_ns - link.overdue[keyword])
+            self._quickest_ns = None
         if flight is not None:
             flight.is_doubtful |= not is_late
             self._predict(servo_id, flight)
@@ -414,6 +421,7 @@ class QueryTracker:
         accepted = flight.held
         if flight.is_doubtful or flight.garbage != self._line.garbage:
             self._links[servo_id].fail()
+            self._quickest_ns = None
             accepted = [pair for pair in accepted if flight.counts[pair[1].keyword] == 1]
             self.strays += len(flight.held) - len(accepted)
         else:

@@ -188,7 +188,9 @@ class SimBus:
 
         A restart of the LSS-PRO at the end of the USB cable adds an outage.
         """
-        outages_ns = self._outages_ns  # Read at each access to a port: usually there are none.
+        outages_ns = self._outages_ns
+        if not outages_ns:  # It is read at each access to a port.
+            return []
         return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in outages_ns]
 
     def blocks_ns(self) -> list[tuple[int, int]]:

@@ -48,6 +48,8 @@ class Power:
         self.stuck_s = np.zeros(count)
         self._is_any_stuck = False
         self._temperature_c = np.full(count, physics.ambient_c)
+        self._felt_v = self.supply_v()
+        """Voltage at the servos at the last `feel`."""
         self.top_deg_s = self._top_deg_s()
 
     def feel(
@@ -70,6 +72,7 @@ class Power:
             stalled = behind & is_powered & (np.abs(horn_deg_s) < TURNING_DEG_S)
             self.motor_ma = np.where(stalled, physics.stall_ma, self.motor_ma)
             self.stuck_s = np.where(stalled, self.stuck_s + passed_s, 0.0)
+        self._felt_v = self.supply_v()
         self.top_deg_s = self._top_deg_s()
 
     def stuck(self) -> list[int]:
@@ -110,10 +113,10 @@ class Power:
         return self.battery_v - self._physics.supply_ohm * total_ma / 1000.0
 
     def _is_supplied(self) -> bool:
-        return self._physics.supply_min_v <= self.supply_v() <= self._physics.supply_max_v
+        return self._physics.supply_min_v <= self._felt_v <= self._physics.supply_max_v
 
     def _top_deg_s(self) -> NDArray[np.float64]:
-        ratio = self.supply_v() / self._physics.nominal_v
+        ratio = self._felt_v / self._physics.nominal_v
         return self._model_deg_s * self.duty_ratio * self.strength_ratio * ratio
 
     def _final_c(self) -> NDArray[np.float64]:

@@ -75,12 +75,16 @@ class SimPort:
 
     def _blocked_until_ns(self) -> int | None:
         """Return when the port takes bytes again; None: it does so now."""
+        if not self._blocks_ns:
+            return None
         now_ns = self._clock.now_ns()
         return max((z_ns for a_ns, z_ns in self._blocks_ns if a_ns <= now_ns < z_ns), default=None)
 
     def _is_plugged(self) -> bool:
+        if not (outages_ns := self.bus.outages_ns()):
+            return True
         now_ns = self._clock.now_ns()
-        return not any(self._opened_ns < from_ns <= now_ns for from_ns, _ in self.bus.outages_ns())
+        return not any(self._opened_ns < from_ns <= now_ns for from_ns, _ in outages_ns)
 
     def _plugged_ns(self) -> int:
         """Return the instant; raise `BusError` if the port was unplugged since it was opened."""

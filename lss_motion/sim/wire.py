@@ -91,8 +91,9 @@ class HostLine:
         return at_ns + left_ns
 
     def _is_lost(self, now_ns: int, arrival_ns: int) -> bool:
-        return any(
-            from_ns < arrival_ns and now_ns < until_ns for from_ns, until_ns in self._outages_ns
+        outages_ns = self._outages_ns
+        return bool(outages_ns) and any(
+            from_ns < arrival_ns and now_ns < until_ns for from_ns, until_ns in outages_ns
         )
 
 
