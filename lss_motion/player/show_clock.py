@@ -48,6 +48,9 @@ class ShowClock:
         self._past: list[tuple[int, float]] = []
         """Ends of forgotten legs, for reports."""
         self._legs: list[ClockLeg] = []
+        self._asked_s: float | None = None
+        """Show time that `instant_ns` was asked for last in this leg: that of the next move."""
+        self._reached_ns = 0
         self._begin(start_ns, start_s, rate, rate)
 
     @property
@@ -126,8 +129,11 @@ class ShowClock:
         """Return when the show reaches `show_s` at the present target rate; None: never."""
         if self.target_rate <= 0.0:
             return None
-        rate = self.target_rate * (1.0 + self.trim_ratio)
-        return self.ramp_end_ns + ns_from_s((show_s - self._ramp_end_s) / rate)
+        if show_s != self._asked_s:
+            rate = self.target_rate * (1.0 + self.trim_ratio)
+            self._asked_s = show_s
+            self._reached_ns = self.ramp_end_ns + ns_from_s((show_s - self._ramp_end_s) / rate)
+        return self._reached_ns
 
     def knots(self, since_ns: int, until_ns: int, step_ns: int) -> Iterator[tuple[int, float]]:
         """Yield `(instant, show time)` between which show time may be interpolated.
@@ -173,3 +179,4 @@ class ShowClock:
         self.ramp_end_ns = leg.ramp_end_ns
         """When the rate is, or was, steady again."""
         self._ramp_end_s = leg.show_s(leg.ramp_end_ns)
+        self._asked_s = None

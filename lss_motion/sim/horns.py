@@ -69,9 +69,10 @@ class Horns:
         self._is_any_jammed = False
         self._ns = np.zeros(count, dtype=np.int64)
         self._phase_ns = np.zeros(count, dtype=np.int64)
-        self._position_deg = self.deg.copy()
-        self._speed_deg_s = np.zeros(count)
-        self._accel_deg_s2 = np.zeros(count)
+        self._finals = np.zeros((3, count))
+        """Coefficients of where the horns would end up but for their droop: parabolas of the time
+        since their phases began."""
+        self._finals[0] = self.deg
         self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
         self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
         self._is_loaded = bool(self._load_deg.any())
@@ -94,10 +95,16 @@ class Horns:
         self.end_ns[index] = FOREVER_NS if is_last else now_ns + ns_from_s(phase.duration_s)
         self._began_ns[index] = now_ns
         self._phase_ns[index] = now_ns
-        self._position_deg[index] = phase.position_deg
-        self._speed_deg_s[index] = phase.speed_deg_s
-        self._accel_deg_s2[index] = phase.accel_deg_s2
+        self._set_final(index)
         self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
+
+    def _set_final(self, index: int) -> None:
+        _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
+        lag_s = self._lags_s[index]
+        behind_deg_s = speed_deg_s - lag_s * accel_deg_s2
+        self._finals[0, index] = position_deg - lag_s * behind_deg_s
+        self._finals[1, index] = behind_deg_s
+        self._finals[2, index] = 0.5 * accel_deg_s2
 
     def coast(self, index: int, now_ns: int, top_deg_s: float) -> None:
         """Bring one horn to `now_ns` within its phase."""
@@ -119,10 +126,8 @@ class Horns:
         """Bring all horns to `now_ns`; none of their phases ends before."""
         phase_s = (now_ns - self._phase_ns) / NS_PER_S
         passed_s = np.maximum(now_ns - self._ns, 1) / NS_PER_S
-        speed_deg_s = self._speed_deg_s + self._accel_deg_s2 * phase_s
-        final_deg = self._position_deg + 0.5 * (self._speed_deg_s + speed_deg_s) * phase_s
-        final_deg -= self._lag_s * (speed_deg_s - self._lag_s * self._accel_deg_s2)
-        final_deg -= self.droop_deg
+        at_deg, by_deg_s, by_deg_s2 = self._finals
+        final_deg = at_deg + (by_deg_s + by_deg_s2 * phase_s) * phase_s - self.droop_deg
         moved_deg = final_deg + self.gap_deg * np.exp(-passed_s / self._lag_s) - self.deg
         reach_deg = top_deg_s * passed_s
         moved_deg = np.minimum(np.maximum(moved_deg, -reach_deg), reach_deg)
@@ -174,6 +179,7 @@ class Horns:
 
     def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
         self._lags_s[index] = self._lag_s[index] = lag_s
+        self._set_final(index)
         self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
 
     def jam(self, index: int, *, is_jammed: bool) -> None:
