@@ -280,13 +280,13 @@ class Conducting:
     def _make_ready(self) -> None:
         assert self._order is not None
         problems = self.host.problems()
-        waited_s = s_from_ns(self.now_ns - self._since_ns)
         if problems:
-            if waited_s > READY_S:
+            if self.now_ns - self._since_ns > ns_from_s(READY_S):
                 self._refuse("; ".join(problems))
             return
-        if self.conductor.absent(self.now_ns) and waited_s < WITHOUT_S:
-            return
+        absent = self.conductor.absent(self.now_ns)
+        if absent != self.conductor.absent(self.now_ns, ns_from_s(WITHOUT_S)):
+            return  # Some may be back in a moment.
         place_s = self._order.start_s or 0.0
         if (leader := self._leader()) is not None and leader.rate >= RUNNING_RATE:
             place_s = max(leader.at_s(self.now_ns + ns_from_s(self._arm_lead_s())), 0.0)

@@ -73,6 +73,8 @@ class FigureSeat:
     """Whether its token is there (`peer`)."""
     problem: str = ""
     """Why it does not take part; empty: it does."""
+    problem_ns: int | None = None
+    """Since when there is one."""
     noted: str = ""
     """The last problem that a person was told, without its numbers."""
     noted_ns: int = -NOTE_AGAIN_NS
@@ -366,6 +368,8 @@ class Conductor:
                 continue
             problem = self._problem(seat, now_ns)
             self._note(seat, problem, now_ns)
+            if bool(problem) != bool(seat.problem):
+                seat.problem_ns = now_ns if problem else None
             seat.problem = problem
         self._look_after(now_ns)
         notes, self._notes = self._notes, []
@@ -395,10 +399,14 @@ class Conductor:
                 found.append(f"{seat.name} is {seat.status.state}")
         return found
 
-    def absent(self, now_ns: int) -> dict[str, str]:
-        """Return the figures that cannot take part now, and why."""
-        problems = ((seat.name, self._problem(seat, now_ns)) for seat in self._cast_seats())
-        return {name: problem for name, problem in problems if problem}
+    def absent(self, now_ns: int, for_ns: int = 0) -> dict[str, str]:
+        """Return the figures that cannot take part, and why; those that could not for so long."""
+        found = {}
+        for seat in self._cast_seats():
+            is_long = seat.problem_ns is not None and now_ns - seat.problem_ns >= for_ns
+            if (problem := self._problem(seat, now_ns)) and (is_long or for_ns == 0):
+                found[seat.name] = problem
+        return found
 
     def warnings(self) -> list[str]:
         """Return what is no reason to refuse a start, but should be known."""

@@ -374,6 +374,7 @@ class Figure:
         if state != "ready" or self._cast is None or self.player.phase == "stopping":
             return state
         self._armed_run, self._followed, self._is_held = (beat.epoch, beat.run), None, False
+        self._stopped_ns = None
         actions.append(Arm(self._cast.parts[self.name].plan, self._join_s(now_ns)))
         return "arming"
 

@@ -155,7 +155,7 @@ class Following:
         self._rate = 0.0
         """As the player was last asked for."""
         self._is_paused = False
-        self._is_lost = False
+        self._is_lost = self._is_beyond = False
         self._slack_s = FIRST_SLACK_S
         self._place_s = place_s
         """Where an approach ends, while it is under way."""
@@ -358,9 +358,11 @@ class Following:
             way_s = approach_s(player.robot, show.pose_deg(now_ns), show.pose_at(place_s))
             place_s = max(leader_s + leader.rate * (way_s + self._slack_s), 0.0)
         if not 0.0 <= place_s < player.program.duration_s:
-            self._say("end", "the leader is beyond the end of the show: the robot holds")
-            self.step = Step.HOLDING
+            if not self._is_beyond:
+                self._say("end", "the leader is beyond the end of the show: the robot holds")
+            self._is_beyond, self.step = True, Step.HOLDING
             return
+        self._is_beyond = False
         self._place_s, self.step = place_s, Step.JOINING
         self._run_at(player, 0.0, now_ns)
         self.note_request(f"seek {place_s!r}", now_ns)

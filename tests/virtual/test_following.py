@@ -229,6 +229,13 @@ def test_a_leader_that_stands_beyond_the_show_is_not_gone_to(stage, robot, show,
     assert np.abs(leader.off_s(13.0)).max() < 2e-3
 
 
+def test_that_a_leader_runs_beyond_the_end_is_said_once(stage, robot, show):
+    leader = Leader(lambda s: (s - (-90.0 if 6.0 < s < 9.0 else 3.0), 1.0))
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == "finished"
+    assert sum("beyond the end" in text for text in leader.texts) == 1, leader.texts
+
+
 @pytest.mark.parametrize("lost", ["go_on", "hold"])
 def test_a_drop_out_is_bridged_and_a_loss_is_said(stage, robot, show, lost):
     leader = Leader(

@@ -263,6 +263,24 @@ def test_why_a_figure_stops_is_told_once():
     assert sum("stops: the conductor stopped all" in text for text in host.log) == 1, host.log
 
 
+def test_why_a_figure_stops_is_told_again_after_a_show_that_left_it_behind():
+    world = playing(show_s=8.0, others="go_on")
+    host = world.hosts["f2"]
+    tick = host.player.tick
+    host.player.tick = lambda _: PlayerView("playing", 1.0)  # It holds somewhere, and never ends.
+    assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
+    world.conductor.end()
+    world.run(0.5)  # It is ready in the turn in which its player has ended.
+    host.player.tick, host.player.view = tick, PlayerView("none")
+    assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
+    world.go()
+    world.run(3.0)
+    mark = len(host.log)
+    world.conductor.stop()
+    assert world.run(5.0, lambda: host.figure.state == "stopped")
+    assert "stops: the conductor stopped all" in host.log[mark:], host.log[mark:]
+
+
 def test_a_figure_that_fell_is_not_raised_again_in_the_same_run():
     world = playing(others="go_on", show_s=60.0)
     host = world.hosts["f1"]
