@@ -4,6 +4,15 @@ Processor time of the process that plays, without planning and compiling. In rea
 simulated robot is a process of its own, behind a pseudo-terminal, and the show is judged by itself,
 from its first instant to its last: connecting, settings, approach and report take their time once,
 however long the show is, and are stated beside it. In virtual time all of the run counts.
+
+Where it goes, by samples of the walk of 18 joints (8,840 turns of the loop, 9,440 queries, 25 s of
+run): the simulator 34 % (14 % ticks of 5 ms, 14 % lines that servos receive), the player's turns
+29 % (19 % polling, 6 % moves), answers 22 % (14 % the estimators), wake-ups 7 %, the loop 5 %: no
+function has more than 4 %. In real time a turn costs 0.4 ms, in virtual time 0.14 ms without
+the simulator: the rest is that a process which slept finds the processor's caches cold. So wake-ups
+count: 290 a second, of which 100 are moves, 150 servos that are polled at an instant of their own,
+and 40 answers. Two servos cannot be polled in one write, because their answers would meet; only
+group queries (FACTS.md W17, from firmware 370) could save more of these.
 """
 
 from __future__ import annotations
