@@ -99,7 +99,11 @@ def test_a_right_model_is_not_named(sim) -> None:
     ],
 )
 def test_the_log_of_a_show_tells_the_model_and_playing_with_it_is_better(sim, expected) -> None:
-    """Each value is right within four of the standard errors that it has, or a little."""
+    """Each value is right within four of the standard errors that it has, or a little.
+
+    Which command is lost decides much: in one run of ten a lost one is most of the error, also with
+    the right model. So the median of three shows counts.
+    """
     truth = {"delay_s": 0.0225, "ramp": 1.0, "t_law": "cruise", "play": 0.0} | expected
     robot, show = make_robot(1, **FIELDS), make_sequence(1, 14.0, **QUICK)
     logged, before_deg, _, _ = played(sim, robot, show)
@@ -116,8 +120,8 @@ def test_the_log_of_a_show_tells_the_model_and_playing_with_it_is_better(sim, ex
     assert found.delay_s.error < 0.005
     response = replace(robot.joints["j0"].response, **response_values(found, robot.joints["j0"]))
     better = replace(robot, joints={"j0": replace(robot.joints["j0"], response=response)})
-    _, after_deg, _, _ = played(sim, better, show)
-    assert after_deg < 0.8 * before_deg
+    after_deg = [played(sim, better, show, seed=seed)[1] for seed in range(3)]
+    assert np.median(after_deg) < 0.8 * before_deg
 
 
 def test_a_joint_that_hardly_moves_and_one_that_is_held_are_named_and_not_measured() -> None:
