@@ -113,8 +113,9 @@ class TruthRecorder:
         for index, (before, after) in enumerate(itertools.pairwise(knots), start=1):
             if after[0] == before[0] and after[1] != before[1]:  # The show was sent elsewhere.
                 self._sample_between(knots[start:index], player.program.duration_s)
-                # At this instant the robot is not there yet.
-                start, self._next = index, math.floor(after[1] / TRUTH_STEP_S + 1e-6) + 1
+                # At this instant the robot is not there yet. Before time 0 nothing is to be done.
+                first = math.floor(after[1] / TRUTH_STEP_S + 1e-6) + 1
+                start, self._next = index, max(first, 0)
         self._sample_between(knots[start:], player.program.duration_s)
 
     def _sample_between(self, knots: list[tuple[int, float]], duration_s: float) -> None:

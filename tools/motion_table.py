@@ -4,10 +4,12 @@
     tools/run tools/motion_table.py FOLDER            a row for each motion
     tools/run tools/motion_table.py FOLDER --write    a summary by file into tools/FIGURES.md
 
-Each is played in virtual time, without feedback and with it, on a generous simulated robot with the
-joints of the motion. What slides goes through a map with a spindle of 0.4 m a turn. The largest
-horn error of each run stands beside the bound that the compiler predicts. Exit code 1 when a motion
-neither plays nor is refused in words, or when a horn without feedback is beyond the bound.
+Each is played in virtual time, with feedback and without it, on a generous simulated robot with the
+joints of the motion, both from the same phase of its control loops (`benches.in_phase`). What
+slides goes through a map with a spindle of 0.4 m a turn. The largest horn error of each run stands
+beside the bound that the compiler predicts. Exit code 1 when a motion neither plays nor is refused
+in words, when a horn without feedback is beyond the bound, or when feedback makes the RMS of the horns
+more than `HARM_RATIO` times as large.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benches.in_phase import horn_rms_deg, with_and_without_feedback
 from lss_motion.errors import LssMotionError
 from lss_motion.interchange import (
     ForeignMotion,
@@ -29,7 +32,6 @@ from lss_motion.interchange import (
     map_template,
     read_motions,
 )
-from lss_motion.perform import perform
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.load import load_robot
 from lss_motion.trajectory.planner import plan
@@ -42,15 +44,16 @@ if TYPE_CHECKING:
 
 HEAD = (
     "| file | motion | joints | keys | authored s | planned s | by its moves deg | bound deg "
-    "| simulated deg | with feedback deg | verdict |"
+    "| simulated deg | with feedback deg | RMS with / without | verdict |"
 )
 FIGURES = Path(__file__).with_name("FIGURES.md")
 LEAST_DEG = 0.001
 """A report rounds angles to this."""
+HARM_RATIO = 1.02
 MARKS = "<!-- motions -->\n", "<!-- end of motions -->\n"
 SUMMARY = (
     "| motions of | played | predicted by the moves | predicted bound | simulated | with feedback "
-    "| nearest to its bound |\n|---|---|---|---|---|---|---|"
+    "| nearest to its bound | RMS with / without feedback |\n|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -69,15 +72,20 @@ class Verdict:
     fed_back_deg: float = math.nan
     bound_ratio: float = math.nan
     """The largest simulated error of a joint over its own bound."""
+    feedback_ratio: float = math.nan
+    """RMS of all horns with feedback over that without."""
 
     @property
     def is_bad(self) -> bool:
-        return "not played" in self.text or self.bound_ratio > 1.0
+        is_beyond = self.bound_ratio > 1.0 or self.feedback_ratio > HARM_RATIO
+        return "not played" in self.text or is_beyond
 
     def cells(self) -> list[str]:
         angles = (self.moves_deg, self.bound_deg, self.simulated_deg, self.fed_back_deg)
-        shown = ["" if math.isnan(angle) else f"{angle:.2f}" for angle in angles]
+        numbers = (*angles, self.feedback_ratio)
+        shown = ["" if math.isnan(number) else f"{number:.2f}" for number in numbers]
         over = " (BEYOND THE BOUND)" if self.bound_ratio > 1.0 else ""
+        over += " (HARM)" if self.feedback_ratio > HARM_RATIO else ""
         counts = [self.joints, self.keys, self.authored, self.planned]
         return [*counts, *shown, self.text + over]
 
@@ -118,9 +126,10 @@ def _summary(file: str, verdicts: list[Verdict]) -> str:
 
     names = ("moves_deg", "bound_deg", "simulated_deg", "fed_back_deg")
     ratio = max(one.bound_ratio for one in played)
+    harm = max(one.feedback_ratio for one in played)
     return (
         f"| `{file}` | {len(played)} of {len(verdicts)} | {' | '.join(map(span, names))} "
-        f"| {ratio:.2f} |"
+        f"| {ratio:.2f} | at most {harm:.3f} |"
     )
 
 
@@ -152,11 +161,9 @@ def verdict_of(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path)
     except LssMotionError as error:
         return Verdict(joints=joints, text=f"refused: {error}".replace("\n", "; "))
     end_s = max((k.at_s or 0.0) + k.hold_s for k in made.sequence.keyframes)
-    runs = [
-        perform(program, robot, is_virtual=True, trajectory=trajectory, has_feedback=has_feedback)
-        for has_feedback in (False, True)
-    ]
-    plain, fed_back = (run.report for run in runs)
+    runs = with_and_without_feedback(program, robot, trajectory)
+    fed_back, plain = (run.report for run in runs)
+    fed_back_deg, plain_deg = (horn_rms_deg(run, trajectory) for run in runs)
     is_played = plain.outcome == "finished" and plain.timing.missed == 0
     slowed = f", {len(trajectory.stretched)} spans slowed" if trajectory.stretched else ""
     errors_deg = {name: one.horn_error_max_deg or 0.0 for name, one in plain.joints.items()}
@@ -172,6 +179,7 @@ def verdict_of(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path)
         bound_ratio=max(
             errors_deg[name] / (deg + LEAST_DEG) for name, deg in program.bound_deg.items()
         ),
+        feedback_ratio=fed_back_deg / plain_deg if plain_deg else 1.0,
         text=f"played{slowed}" if is_played else "not played",
     )
 

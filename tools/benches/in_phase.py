@@ -1,0 +1,93 @@
+"""Runs whose shows meet the servos at the same phase of their control loops.
+
+A servo takes a command up at its next control loop, up to 5 ms later, so that a horn at 350 deg/s is
+1.75 deg further or not. Where a show leaves no acceleration to spare, such distances add up. A show
+with feedback begins at another instant than one without, and two runs that begin at other phases
+differ by that more than by all corrections. So the second run is let go when its servos are where
+those of the first one were.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.perform import Observer, perform
+from lss_motion.player.events import Phase
+from lss_motion.sim.horns import FILTER_NS
+from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lss_motion.perform import Result
+    from lss_motion.player.player import Player
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+    from lss_motion.trajectory.model import Trajectory
+
+LOOPS_NS: Final = FILTER_NS
+"""After so long all loops of a servo are where they were: the filter of EM0 has the longest."""
+LEAST_NS: Final = 50 * NS_PER_MS
+"""A show that was held begins no sooner."""
+
+
+class Beginning:
+    """Notes when a show begins, and lets it begin at the phase of another one: a `Controls`."""
+
+    def __init__(self, other_ns: int | None = None) -> None:
+        """With `other_ns`, `origin_ns` of the run before, begin at its phase; else at once."""
+        self.origin_ns: int | None = None
+        """Instant of show time 0 on the clock of the run; None: the show has not begun."""
+        self._other_ns = other_ns
+        self._is_held = False
+
+    def filenos(self) -> Sequence[int]:
+        """Return none: nothing comes from outside."""
+        return ()
+
+    def act(self, player: Player, now_ns: int) -> None:
+        """Hold the show before its start, and let it go, once."""
+        if self._other_ns is not None and not self._is_held:
+            self._is_held = True
+            player.hold_before_start(now_ns)
+        if self.origin_ns is not None or player.show is None or player.phase is not Phase.SHOW:
+            return
+        if self._other_ns is None:
+            self.origin_ns = now_ns - ns_from_s(player.show.show_s(now_ns))
+            return
+        least_ns = now_ns + LEAST_NS - ns_from_s(player.show.begin_s)
+        self.origin_ns = least_ns + (self._other_ns - least_ns) % LOOPS_NS
+        player.run_from(s_from_ns(now_ns - self.origin_ns), now_ns)
+
+
+def with_and_without_feedback(
+    program: Program, robot: Robot, trajectory: Trajectory, *, seed: int = 0
+) -> tuple[Result, Result]:
+    """Play a show with feedback, then without from the same phase; both in virtual time."""
+    results: list[Result] = []
+    begun_ns = None
+    for has_feedback in (True, False):
+        beginning = Beginning(begun_ns)
+        result = perform(
+            program,
+            robot,
+            is_virtual=True,
+            has_feedback=has_feedback,
+            trajectory=trajectory,
+            observer=Observer(controls=beginning),
+            seed=seed,
+        )
+        results.append(result)
+        begun_ns = beginning.origin_ns
+    return results[0], results[1]
+
+
+def horn_rms_deg(result: Result, trajectory: Trajectory) -> float:
+    """Return the RMS distance of all simulated horns from the plan."""
+    truth = result.truth
+    assert truth is not None, "the show was not played"
+    columns = [trajectory.joints.index(name) for name in truth.joints]
+    error_deg = truth.horn_deg - trajectory.sample(truth.times_s)[:, columns]
+    return float(np.sqrt(np.mean(error_deg**2)))
