@@ -8,8 +8,8 @@ Each is played in virtual time, with feedback and without it, on a generous simu
 joints of the motion, both from the same phase of its control loops (`benches.in_phase`). What
 slides goes through a map with a spindle of 0.4 m a turn. The largest horn error of each run stands
 beside the bound that the compiler predicts. Exit code 1 when a motion neither plays nor is refused
-in words, when a horn without feedback is beyond the bound, or when feedback makes the RMS of the horns
-more than `HARM_RATIO` times as large.
+in words, when a horn without feedback is beyond the bound, or when feedback makes the RMS of the
+horns more than `HARM_RATIO` times as large.
 """
 
 from __future__ import annotations

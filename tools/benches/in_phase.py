@@ -1,10 +1,10 @@
 """Runs whose shows meet the servos at the same phase of their control loops.
 
-A servo takes a command up at its next control loop, up to 5 ms later, so that a horn at 350 deg/s is
-1.75 deg further or not. Where a show leaves no acceleration to spare, such distances add up. A show
-with feedback begins at another instant than one without, and two runs that begin at other phases
-differ by that more than by all corrections. So the second run is let go when its servos are where
-those of the first one were.
+A servo takes a command up at its next control loop, up to 5 ms later, so that a horn at 350 deg/s
+is 1.75 deg further or not. Where a show leaves no acceleration to spare, such distances add up. A
+show with feedback begins at another instant than one without, and two runs that begin at other
+phases differ by that more than by all corrections. So the second run is let go when its servos
+are where those of the first one were.
 """
 
 from __future__ import annotations
