@@ -155,3 +155,22 @@ def test_the_command_writes_what_a_log_tells_of_the_joints_that_are_named(tmp_pa
     assert "from show.log, 20" in made.read_text(encoding="utf-8")
     assert main([*given, "--port", "sim://"]) == 2
     assert "--port is for moves; with --from nothing moves" in capsys.readouterr().err
+
+
+def test_a_ramp_that_depends_on_an_undecided_law_is_not_written(tmp_path, capsys) -> None:
+    """A slow joint: three of four laws explain it, with ramps of 843, 1985 and 2426 deg/s^2.
+
+    The true one is 600.
+    """
+    log, made = tmp_path / "show.log", tmp_path / "made.yaml"
+    robot = "sequences/robots/desk_arm.yaml"
+    assert play(["sequences/wave.yaml", "--virtual", "--sim", "lag=+60ms", "--log", str(log)]) == 0
+    options = ["--robot", robot, "--from", str(log), "gripper", "wrist", "-o", str(made)]
+    assert main(["identify", *options]) == 0
+    said = capsys.readouterr().out.split("gripper: written")[0]
+    assert "gripper differs from the assumptions" in said
+    assert "the ramps are not known well enough, without retarget and t_law" in said
+    assert "the ramp up" not in said
+    found = load_robot(made).joints["gripper"].response
+    assert found.ramp_ratio == 1.0
+    assert found.lag_s == pytest.approx(0.08, abs=0.006)

@@ -554,7 +554,7 @@ def _identified(
         misfit_deg=best.rms_deg,
         turnaround_s=tuple(np.percentile(recording.turnarounds_s, (1.0, 50.0, 99.0)).tolist()),
         readings=len(pieces.time_s),
-        unsure=_unsure(delay, ramp),
+        unsure=_unsure(delay, ramp, _possible(fits, chosen)),
     )
 
 
@@ -564,14 +564,23 @@ def _load(best: Fitted, angle: float) -> Measured:
     return _measured(best, lambda vectors: vectors[:, LOAD : LOAD + 3] @ basis)
 
 
-def _unsure(delay: Measured, ramp: Measured) -> frozenset[str]:
-    """Return the fields of `response` that the show does not tell well enough."""
+def _unsure(delay: Measured, ramp: Measured, possible: Sequence[Fitted]) -> frozenset[str]:
+    """Return the fields of `response` that the show does not tell well enough.
+
+    The ramp belongs to a law: where several are possible, theirs must agree.
+    """
     found = set()
     if delay.error > DELAY_ERROR_MAX_S:
         found.add("lag_s")
-    if ramp.error > RAMP_ERROR_MAX_RATIO * ramp.value:
+    spread = math.expm1(float(np.ptp([fit.vector[RAMP] for fit in possible])))
+    if max(ramp.error / ramp.value, spread) > RAMP_ERROR_MAX_RATIO:
         found.add("ramp_ratio")
     return frozenset(found)
+
+
+def _possible(fits: dict[Hypothesis, Fitted], chosen: Hypothesis) -> list[Fitted]:
+    """Return the fits of all laws that the readings do not rule out."""
+    return [fit for fit in fits.values() if fit.misfit <= DECIDED_RATIO * fits[chosen].misfit]
 
 
 def _measured(best: Fitted, value: Callable[[FloatArray], FloatArray]) -> Measured:

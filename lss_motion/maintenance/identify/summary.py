@@ -206,7 +206,13 @@ def _limits(found: Identified, joint: Joint) -> list[str]:
     """Return where the servo cannot do what the robot file demands."""
     lines = []
     expected_deg_s2 = joint.ramp_ratio * found.ramp_deg_s2
-    for name, ramp in (("up (AA)", found.accel_deg_s2), ("down (AD)", found.decel_deg_s2)):
+    ramps = {"up (AA)": found.accel_deg_s2, "down (AD)": found.decel_deg_s2}
+    if "ramp_ratio" in found.unsure:
+        laws = not (found.retarget.is_sure and found.t_law.is_sure)
+        without = ", without retarget and t_law" if laws else ""
+        lines.append(f"the ramps are not known well enough{without}; ramp_ratio stays")
+        ramps = {}
+    for name, ramp in ramps.items():
         away_deg_s2 = abs(ramp.value - expected_deg_s2)
         if away_deg_s2 > max(RAMP_DIFFERENCE_RATIO * expected_deg_s2, SIGMAS * ramp.error):
             lines.append(
