@@ -118,10 +118,11 @@ def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     for span in spans:
         by_s[span.joint] = by_s.get(span.joint, 0.0) + span.by_s
     joint = max(by_s, key=lambda name: by_s[name])
-    total = (
-        f"{counted(spans, 'span')} slowed, {sum(by_s.values()):.3f} s in all, most by {joint!r} "
-        f"({by_s[joint]:.3f} s)"
-    )
+    total = f"{counted(spans, 'span')} slowed, "
+    if (lost_s := sum(by_s.values())) < LATE_MIN_S:
+        total += f"by less than {LATE_MIN_S:g} s in all"
+    else:
+        total += f"{lost_s:.3f} s in all, most by {joint!r} ({by_s[joint]:.3f} s)"
     shown = spans if is_whole else spans[:WORST_COUNT]
     lines = [total, *(f"slower: {span.text}" for span in shown)]
     if rest := spans[len(shown) :]:

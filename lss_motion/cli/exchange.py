@@ -26,6 +26,7 @@ from lss_motion.cli.voices import (
 )
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.source import counted
 
 if TYPE_CHECKING:
     import argparse
@@ -241,7 +242,8 @@ def _import(arguments: argparse.Namespace) -> int:
     )
     fit = [] if made.fit is None else [fit_text(made.fit)]
     write_sequence(made.sequence, arguments.output, comments=[*made.comments, *fit])
-    print(f"{arguments.output}: {len(made.sequence.keyframes)} keyframes from {arguments.file}")
+    keyframes = counted(made.sequence.keyframes, "keyframe")
+    print(f"{arguments.output}: {keyframes} from {arguments.file}")
     print("\n".join([*made.comments, *fit]))
     print("\n".join(plan_lines(plan(made.sequence, robot), robot)))
     return EXIT_FINISHED

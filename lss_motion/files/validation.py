@@ -139,7 +139,12 @@ def _problem(details: ErrorDetails, schema: Mapping[str, Any]) -> Problem:
     place = ".".join(str(part) for part in location if isinstance(part, str))
     if location and isinstance(location[-1], int):
         place += f" item {location[-1] + 1}"
-    return Problem(location, f"{place} ({_shown(details['input'])}): {_rule(details)}")
+    rule = _rule(details)
+    if details["type"] == "model_type":
+        part = _schema_at(schema, location)
+        keys = part.get("required") or list(part.get("properties", {}))[:1]
+        rule = f"must hold keys and values, such as {{{', '.join(f'{key}: …' for key in keys)}}}"
+    return Problem(location, f"{place} ({_shown(details['input'])}): {rule}")
 
 
 def _schema_at(schema: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
@@ -180,7 +185,6 @@ _RULES: Final = {
     "bool_type": "must be true or false",
     "list_type": "must be a list, such as [1, 2]",
     "dict_type": "must hold keys and values, such as {{name: value}}",
-    "model_type": "must hold keys and values, such as {{name: value}}",
 }
 """What is allowed, by pydantic's name of the error; its own words are for programmers."""
 

@@ -320,9 +320,9 @@ class RobotisPagesReader:
     name: str = "robotis-bin"
 
     def recognises(self, data: bytes) -> bool:
-        if not data or len(data) % PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
+        if len(data) < PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
             return False
-        pages = _pages(data)
+        pages = _pages(data[: len(data) - len(data) % PAGE_BYTES])  # The last one may be cut.
         # Page 0 is often not written. A text file does not have the right sums by chance.
         return b"\0" in data and sum(page.is_whole for page in pages) * 2 > len(pages)
 

@@ -87,6 +87,13 @@ def test_totals_come_first_then_the_worst_ten(robot):
     assert not any("--all" in line for line in whole)
 
 
+def test_spans_that_are_slowed_by_less_than_is_shown_have_no_total_of_zero(robot):
+    trajectory = plan(talk(2), robot)
+    spans = tuple(replace(span, by_s=0.0002) for span in trajectory.stretched)
+    lines = plan_lines(replace(trajectory, stretched=spans), robot)
+    assert lines[1] == f"{len(spans)} spans slowed, by less than 0.001 s in all"
+
+
 def test_the_latest_keyframes_are_named_with_their_lateness(robot):
     trajectory = plan(talk(), robot)
     late = sorted(

@@ -180,6 +180,13 @@ def test_another_kind_of_file_is_refused(data: bytes, reason: str) -> None:
         RobotisPagesReader().motions(PATH, data)
 
 
+def test_a_file_whose_last_page_is_cut_says_so() -> None:
+    data = (page(({1: 2048}, 0, 64)) * 3)[:-100]
+    assert RobotisPagesReader().recognises(data)
+    with pytest.raises(InputError, match="1436 bytes are not 1 to 256 pages of 512: cut short"):
+        RobotisPagesReader().motions(PATH, data)
+
+
 def test_mtn_numbers_may_have_decimal_commas(read_one) -> None:
     text = mtn(step(512, 0) + step(768, 1023, 0.5, 0.5))
     plain = read_one(RobotisTextReader(), text)

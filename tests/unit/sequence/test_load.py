@@ -238,6 +238,8 @@ def test_a_time_at_the_end_of_a_hold_is_exactly_that_end(load) -> None:
         ("  - {at_s: 0, pose: home}\nspeed_ratio: 0", 5, "must be 0.01 or more"),
         ("  - {pose: home}\nspeed_ratio: 1.5", None, "fast as the limits allow; 1 is the most"),
         ("  - {at_s: 0, pose: home}\nplay: [{pause_s: 1}]", 3, "keyframes does not go with 'play'"),
+        ("  - nod", 4, "keyframes item 1 ('nod'): must hold keys and values, such as {"),
+        ("  - {at_s: 0, pose: home}\nplay: [nod.yaml]", 5, "values, such as {file: …}"),
         ("  - {at_s: 0, deg: {base: 0}}\ntracks: {eyes: {loop: 2}}", 5, "'eyes' has no keyframes"),
         (
             "  - {at_s: 0, deg: {base: 0}}\ntracks:\n  eyes: {keyframes: [{deg: {base: 1}}]}",
