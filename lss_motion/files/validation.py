@@ -139,9 +139,10 @@ def _problem(details: ErrorDetails, schema: Mapping[str, Any]) -> Problem:
     place = ".".join(str(part) for part in location if isinstance(part, str))
     if location and isinstance(location[-1], int):
         place += f" item {location[-1] + 1}"
-    rule = _rule(details)
+    rule, part = _rule(details), _schema_at(schema, location)
+    if details["type"] == "string_pattern_mismatch" and "examples" in part:
+        rule = f"must be written as in {part['examples'][0]!r}"
     if details["type"] == "model_type":
-        part = _schema_at(schema, location)
         keys = part.get("required") or list(part.get("properties", {}))[:1]
         rule = f"must hold keys and values, such as {{{', '.join(f'{key}: …' for key in keys)}}}"
     return Problem(location, f"{place} ({_shown(details['input'])}): {rule}")
@@ -154,7 +155,7 @@ def _schema_at(schema: Mapping[str, Any], location: Location) -> Mapping[str, An
         if isinstance(part, int):
             here = here.get("items", {})
         else:
-            here = here.get("properties", {}).get(part) or here.get("additionalProperties", {})
+            here = here.get("properties", {}).get(part) or here.get("additionalProperties") or {}
         if "$ref" in here:
             here = schema["$defs"][here["$ref"].rpartition("/")[2]]
     return here

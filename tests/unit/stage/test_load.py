@@ -147,6 +147,8 @@ shows: {hello: {left: hello.yaml, right: scare.yaml}, all: hello.yaml}
     assert stage.shows["hello"].paths["right"].name == "scare.yaml"
     with pytest.raises(InputError, match=r"stage.yaml:3: no figure 'rigth'; did you mean 'right'"):
         kit.load(text=text.replace("right: scare", "rigth: scare"))
+    with pytest.raises(InputError, match=r"\('left'\): must be written as in '192.168.1.20:7447'"):
+        kit.load(text=text.replace("left:7447", "left"))
 
 
 @pytest.mark.parametrize(
