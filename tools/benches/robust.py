@@ -70,9 +70,6 @@ SHOW_S: Final = 12.0
 HARM_RATIO: Final = 1.02
 HARM_DEG: Final = 0.01
 """With feedback the RMS may be this much larger: a tenth of a wire unit of an LSS is no harm."""
-SEEDS: Final = (1,)
-"""With feedback a show begins at another instant of the control loops, which changes RMS, speed and
-acceleration either way. Where one is larger than allowed, the mean over these is judged."""
 STANDING_DEG: Final = 0.25
 LATE_DEG: Final = 1.0
 """A horn that comes nearer to its plan by this in a hold had not arrived, without feedback: the
@@ -310,27 +307,9 @@ def _strayed(case: Case, truth: Truth) -> frozenset[str]:
 
 
 def compared(case: Case, text: str) -> tuple[Outcome, Outcome]:
-    """Play a case with feedback and without; on more seeds if that made RMS or limits worse."""
-    ours, other = _both(case, text, SEEDS[0])
-    if not _harm(ours, other):
-        return ours, other
-    more = [_both(case, text, seed) for seed in SEEDS[1:]]
-    return _mean([ours, *(one for one, _ in more)]), _mean([other, *(one for _, one in more)])
-
-
-def _both(case: Case, text: str, seed: int) -> tuple[Outcome, Outcome]:
-    ours = played(case, text, has_feedback=True, seed=seed)
-    return ours, played(case, text, has_feedback=False, seed=seed, after=ours)
-
-
-def _mean(outcomes: list[Outcome]) -> Outcome:
-    """Return the first outcome with the mean RMS and the mean use of the limits of all."""
-    return replace(
-        outcomes[0],
-        rms_deg=_rms([one.rms_deg for one in outcomes]),
-        speed_ratio=float(np.mean([one.speed_ratio for one in outcomes])),
-        accel_ratio=float(np.mean([one.accel_ratio for one in outcomes])),
-    )
+    """Play a case with feedback, then without from the same phase of the control loops."""
+    ours = played(case, text, has_feedback=True)
+    return ours, played(case, text, has_feedback=False, after=ours)
 
 
 def _judged_spans(
@@ -386,12 +365,6 @@ def problems(ours: Outcome, other: Outcome) -> list[str]:
         found.append(f"unnamed {', '.join(sorted(ours.unnamed))}")
     if ours.is_model_right and ours.findings:
         found.append(f"misnamed {', '.join(sorted(ours.findings))}")
-    return found + _harm(ours, other)
-
-
-def _harm(ours: Outcome, other: Outcome) -> list[str]:
-    """Return what is worse than without feedback, of what depends on the phase of the loops."""
-    found = []
     if ours.rms_deg > HARM_RATIO * other.rms_deg + HARM_DEG:
         found.append(f"RMS x{ours.rms_deg / other.rms_deg:.2f}")
     for what, own, theirs in (
