@@ -147,17 +147,15 @@ def own_answers(asked: Sequence[int], received: Sequence[bytes]) -> list[bytes]:
     """
     whole = b"".join(received)
     places = [index for index, data in enumerate(received) for _ in data]
-    left = [bytearray() for _ in received]
-    end = 0
+    foreign: set[int] = set()
     for match in _CLEAN.finditer(whole):
         first, last = places[match.start()], places[match.end() - 1]
-        if int(match[1]) in (asked[first], asked[last]):
-            continue
-        for place in range(end, match.start()):
-            left[places[place]].append(whole[place])
-        end = match.end()
-    for place in range(end, len(whole)):
-        left[places[place]].append(whole[place])
+        if int(match[1]) not in (asked[first], asked[last]):
+            foreign.update(range(*match.span()))
+    left = [bytearray() for _ in received]
+    for offset, (place, byte) in enumerate(zip(places, whole, strict=True)):
+        if offset not in foreign:
+            left[place].append(byte)
     return [bytes(data) for data in left]
 
 
