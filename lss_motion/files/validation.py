@@ -139,12 +139,7 @@ def _problem(details: ErrorDetails, schema: Mapping[str, Any]) -> Problem:
     place = ".".join(str(part) for part in location if isinstance(part, str))
     if location and isinstance(location[-1], int):
         place += f" item {location[-1] + 1}"
-    rule, part = _rule(details), _schema_at(schema, location)
-    if details["type"] == "string_pattern_mismatch" and "examples" in part:
-        rule = f"must be written as in {part['examples'][0]!r}"
-    if details["type"] == "model_type":
-        keys = part.get("required") or list(part.get("properties", {}))[:1]
-        rule = f"must hold keys and values, such as {{{', '.join(f'{key}: …' for key in keys)}}}"
+    rule = _rule(details, _schema_at(schema, location))
     return Problem(location, f"{place} ({_shown(details['input'])}): {rule}")
 
 
@@ -161,11 +156,18 @@ def _schema_at(schema: Mapping[str, Any], location: Location) -> Mapping[str, An
     return here
 
 
-def _rule(details: ErrorDetails) -> str:
+def _rule(details: ErrorDetails, part: Mapping[str, Any]) -> str:
+    """Return what is allowed, in words; `part` of the JSON Schema describes what is wrong."""
     context = details.get("ctx", {})
-    if details["type"] == "literal_error":
-        words = re.findall(r"'([^']*)'", context["expected"])
-        return f"is not allowed; {known_names(str(details['input']), words)}"
+    match details["type"]:
+        case "literal_error":
+            words = re.findall(r"'([^']*)'", context["expected"])
+            return f"is not allowed; {known_names(str(details['input']), words)}"
+        case "string_pattern_mismatch" if "examples" in part:
+            return f"must be written as in {part['examples'][0]!r}"
+        case "model_type":
+            keys = part.get("required") or list(part.get("properties", {}))[:1]
+            return f"must hold keys and values, such as {{{', '.join(f'{k}: …' for k in keys)}}}"
     rule = _RULES.get(details["type"])
     return details["msg"] if rule is None else rule.format_map(context)
 

@@ -233,8 +233,10 @@ class TrackLoader:
         self, keyframes: list[Keyframe], kept: frozenset[str], marked: frozenset[str]
     ) -> None:
         """Note what contradicts that joints keep their time."""
-        if kept and timing_of(self.content) is Timing.FASTEST and self.content.keep is not None:
-            self._note(("keep",), "keep: time keeps the author's times, but this file gives none")
+        without_times = "keep: time keeps the author's times, but this file gives none"
+        is_fastest = timing_of(self.content) is Timing.FASTEST
+        if kept and is_fastest and self.content.keep is not None:
+            self._note(("keep",), without_times)
         for index, (entry, frame) in enumerate(zip(self.content.keyframes, keyframes, strict=True)):
             for key in ("exact", "weight"):
                 is_given = key in entry.model_fields_set and frame.deg
@@ -250,11 +252,8 @@ class TrackLoader:
                     ("keyframes", index, "keep"),
                     "keep: time gives up the angle here, and exact keeps it; remove one of them",
                 )
-            if entry.keep and timing_of(self.content) is Timing.FASTEST:
-                self._note(
-                    ("keyframes", index, "keep"),
-                    "keep: time keeps the author's times, but this file gives none",
-                )
+            if entry.keep and is_fastest:
+                self._note(("keyframes", index, "keep"), without_times)
 
     def _with_exact(
         self, keyframes: list[Keyframe], kept: frozenset[str], marked: frozenset[str]
