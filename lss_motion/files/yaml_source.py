@@ -23,7 +23,7 @@ NODES_MAX: Final = 1_000_000
 """10,000 keyframes of 40 joints are 850,000 keys and values; aliases count as what they repeat."""
 
 DEPTH_MAX: Final = 16
-"""Our files are 5 deep. Without a bound, thousands of brackets cost quadratic time."""
+"""Our files, and goals of ROS, are 5 deep. Thousands of brackets would overflow the stack."""
 
 NUMBER_MAX_CHARS: Final = 40
 """A longer number is not a measurement; Python refuses thousands of digits with its own error."""
@@ -166,18 +166,28 @@ def _parsed(text: str, path: Path) -> YamlSource:
 
 
 def _syntax_error(error: Exception, path: Path, text: str) -> InputError:
-    mark = getattr(error, "problem_mark", None)
-    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    mark, reason = getattr(error, "problem_mark", None), syntax_reason(error)
     if mark is None:  # A character that YAML does not allow anywhere: only its position is known.
         position = getattr(error, "position", None)
         line = None if position is None else text.count("\n", 0, position) + 1
-        return InputError(f"not YAML: {reason}", path=path, line=line)
+        return InputError(reason, path=path, line=line)
     lines = text.split("\n")
     line = min(mark.line + 1, len(lines))
     hint = ""
     if "\t" in lines[line - 1][: mark.column + 1]:
         hint = "; indent with spaces, not with tabs"
-    return InputError(f"not YAML: {reason}{hint}", path=path, line=line)
+    return InputError(f"{reason}{hint}", path=path, line=line)
+
+
+def syntax_reason(error: Exception) -> str:
+    """Return what the YAML parser refused, in one line.
+
+    Some parsers have a bound of depth of their own, far above ours, and read ahead up to it.
+    """
+    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    if "nesting depth" in reason:
+        return f"nested more than {DEPTH_MAX} deep"
+    return f"not YAML: {reason}"
 
 
 @dataclass(slots=True)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
+from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
 from lss_motion.interchange.fields import NUMBER_MAX
 from lss_motion.interchange.reader import (
     Pose,
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
 
 NODES_MAX: Final = 4_000_000
 """Maximum number of nodes, as for values of a recording. An alias counts as its content."""
-
-DEPTH_MAX: Final = 16
-"""Maximum depth. A goal of a trajectory has 5; thousands of brackets would overflow the stack."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +58,8 @@ def yaml_tree(text: str, path: Path) -> Node:
         return _Builder(path, yaml.parse(text, Loader=loader)).document()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "odd text"
         line = None if mark is None else mark.line + 1
-        raise InputError(f"not YAML: {reason}", path=path, line=line) from error
+        raise InputError(syntax_reason(error), path=path, line=line) from error
 
 
 class _Builder:
