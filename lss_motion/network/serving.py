@@ -7,6 +7,7 @@ lines of its input (`Commands`), or by what else holds a `Host`. The others need
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import os
 import queue
@@ -28,7 +29,7 @@ from lss_motion.remote import schema as m
 from lss_motion.remote import stage_messages as s
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from concurrent.futures import Future
     from contextlib import AbstractContextManager
     from pathlib import Path
@@ -325,18 +326,11 @@ class Commands:
             conductor.pause(now_ns)
         elif word == "r":
             conductor.resume(now_ns)
+        elif word == "v":
+            ratio = _number(rest, "v needs a share of the speed of the plan: v 0.5")
+            self._log(f"speed {conductor.set_rate(ratio, now_ns):g}")
         else:
-            try:
-                number = float(rest[0])
-            except (ValueError, IndexError):
-                raise InputError(
-                    "v needs a share of the speed of the plan: v 0.5; j a show time in seconds: "
-                    "j 12.5"
-                ) from None
-            if word == "v":
-                self._log(f"speed {conductor.set_rate(number, now_ns):g}")
-            else:
-                conductor.seek(number, now_ns)
+            conductor.seek(_number(rest, "j needs a show time in seconds: j 12.5"), now_ns)
 
     def _fire(self, name: str, figure: str) -> None:
         """Fire a cue that a figure asked for: its show, or what it does."""
@@ -363,6 +357,17 @@ class Commands:
         with contextlib.suppress(ValueError, OSError):
             for line in sys.stdin:
                 self._lines.put(line)
+
+
+def _number(words: Sequence[str], remedy: str) -> float:
+    """Return the one finite number that was typed, or raise `InputError` with the remedy."""
+    try:
+        number = float(*words)
+    except (ValueError, TypeError):
+        raise InputError(remedy) from None
+    if not words or not math.isfinite(number):
+        raise InputError(remedy)
+    return number
 
 
 def states(host: Host) -> list[str]:

@@ -27,7 +27,9 @@ class Host:
     """Notes what it is asked for."""
 
     def __init__(self):
-        self.conductor = SimpleNamespace(wanted="nothing", pause=self._pause)
+        self.conductor = SimpleNamespace(
+            wanted="nothing", pause=self._pause, set_rate=self._note, seek=self._note
+        )
         self.cues, self.done = deque(), []
 
     def load(self, cast, contents):
@@ -41,6 +43,10 @@ class Host:
 
     def _pause(self, _now_ns):
         self.done.append("pause")
+
+    def _note(self, number, _now_ns):
+        self.done.append(number)
+        return number
 
 
 def test_a_show_is_planned_in_another_process_and_lines_are_obeyed(stage, monkeypatch):
@@ -56,10 +62,13 @@ def test_a_show_is_planned_in_another_process_and_lines_are_obeyed(stage, monkey
         time.sleep(0.01)
     assert host.done == [("load", "bow", 3)]  # Two plans and their cast.
     assert longest_s < 0.1  # Planning itself takes a second of processor time.
-    for line in ("g", "s", "p", "l nothing", "x"):
+    wrong = ("v", "v fast", "v 0.5 1", "v nan", "j", "j 1:30")
+    for line in ("g", "s", "p", "l nothing", *wrong, "v 0.5", "j 2", "x"):
         commands.put(line)
     commands.turn()
-    assert host.done[1:] == ["stop", "pause"]
+    assert host.done[1:] == ["stop", "pause", 0.5, 2.0]
+    assert log[2:6] == ["refused: v needs a share of the speed of the plan: v 0.5"] * 4
+    assert log[6:8] == ["refused: j needs a show time in seconds: j 12.5"] * 2
     assert log[0] == "refused: the show plays, or is about to"
     assert log[1] == "no show 'nothing'; there are bow"
     commands.put("q")
