@@ -58,7 +58,10 @@ LOOPS_MAX: Final = 127
 """Largest `int8_t`."""
 
 _COMMENT: Final = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
-_START: Final = re.compile(rb"int8_t\s+\w{1,60}\s*\[")
+_START: Final = re.compile(
+    rb"int8_t\s+\w{1,60}\s*\[|^\{\s*-?\d{1,3}\s*,[-+\d,\s]{8,}", re.MULTILINE
+)
+"""An array with its name, or a line that begins with bare numbers, as in the skill library."""
 _ARRAY: Final = re.compile(
     r"(?:\b(\w{1,60})\s*\[\s*\d{0,5}\s*\]\s*(?:PROGMEM\s*)?=\s*)?\{([-+\d,\s]*)\}", re.ASCII
 )
@@ -69,7 +72,10 @@ _CUT: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class OpenCatReader:
-    """Reads `const int8_t name[] PROGMEM = {…};`: one motion per array; joints are `J<n>`."""
+    """Reads `const int8_t name[] PROGMEM = {…};` or bare `{…}`: one motion per array.
+
+    The joints are `J<n>`.
+    """
 
     name: str = "opencat"
 

@@ -28,6 +28,19 @@ def test_each_array_is_a_motion_with_its_name() -> None:
     assert {channel.name: channel.values.tolist() for channel in up.channels}["J15"] == [16.0]
 
 
+def test_a_page_of_the_skill_library_has_a_bare_array_and_is_recognised() -> None:
+    page = (
+        b"# Up\n\nModel: Bittle\n\n# Token\nK\n\n# Data\n\n{ \n1, 0, 0, 1,\n"
+        + b"30, " * 16
+        + b"\n};\n"
+    )
+    assert OpenCatReader().recognises(page)
+    (up,) = OpenCatReader().motions(Path("m"), page)
+    assert isinstance(up, ForeignMotion)
+    assert [channel.values.tolist() for channel in up.channels] == [[30.0]] * 16
+    assert not OpenCatReader().recognises(b'{\n  "poses": [[1, 2, 3, 4, 5]]\n}\n')
+
+
 def test_the_last_joints_walk_and_come_back_to_the_first_frame(read_one) -> None:
     motion = read_one(OpenCatReader(), GAIT)
     assert [channel.name for channel in motion.channels] == [f"J{n}" for n in range(8, 16)]
