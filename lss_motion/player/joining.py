@@ -98,8 +98,9 @@ def on_time_s(
 
     That is its T, unless the move reverses the joint. Then its target may be near and T short, and
     a small distance of the profile from the plan would change the travel speed many times over. So
-    the speed of the plan is kept instead of its end. `show_s` turns an instant into one of the
-    plan.
+    the speed of the plan is kept instead of its end; also where only the profile reverses, since it
+    is ahead of the plan and too fast to stop at the target. `show_s` turns an instant into one of
+    the plan.
     """
     move = state.active
     assert move is not None
@@ -108,8 +109,13 @@ def on_time_s(
     arrival_ns = line.arrival_ns(len(move.data), now_ns)
     planned_deg, speed_deg_s = state.plan.at(show_s(arrival_ns))
     planned_way_deg = state.target_deg - planned_deg
-    way_deg = state.target_deg + state.disturbance.offset_deg - state.place(arrival_ns)[0]
+    position_deg, own_deg_s = state.place(arrival_ns)
+    way_deg = state.target_deg + state.disturbance.offset_deg - position_deg
     planned_s = s_from_ms(move.duration_ms)
-    if speed_deg_s * planned_way_deg >= 0.0 or way_deg * planned_way_deg <= 0.0:
+    if not planned_way_deg:
         return planned_s
-    return planned_s * way_deg / planned_way_deg
+    kept_s = planned_s * abs(way_deg / planned_way_deg)
+    if speed_deg_s * planned_way_deg < 0.0 < way_deg * planned_way_deg:
+        return kept_s
+    stop_deg = 0.5 * own_deg_s * abs(own_deg_s) / state.limits.ramp_deg_s2
+    return min(planned_s, kept_s) if (way_deg - stop_deg) * own_deg_s < 0.0 else planned_s

@@ -923,6 +923,21 @@ def test_one_that_is_turned_back_travels_as_fast_as_its_plan_however_far_off_it_
     assert abs(state.plan.at(0.75)[1]) > 40.0, "it travels"
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_that_cannot_stop_at_its_target_comes_back_as_fast_as_its_plan_travels(kit, line, sign):
+    """T of the plan would give it a fifth of that speed, as it is so near its target."""
+    there, on = travel(40.0 * sign), travel(20.0 * sign, due_s=0.5, lasts_s=0.4)
+    state = timed(kit, there, on)
+    arrival_ns = line.arrival_ns(len(on.data), 500_000_000)
+    planned_way_deg = 20.0 * sign - state.plan.at(CLOCK.show_s(arrival_ns))[0]
+    for start_deg in (0.0, 20.0 * sign - 0.2 * planned_way_deg):
+        state.stand_at(start_deg - (state.place(arrival_ns)[0] if start_deg else 0.0))
+        state.note_sent(200_000_000, round(10 * (state.place(0)[0] + 60.0 * sign)), 1500)
+    state.begin_move(on)
+    time_s = on_time_s(state, line, CLOCK.show_s, 500_000_000)
+    assert time_s == pytest.approx(0.2 * 0.4, rel=0.1)
+
+
 def test_else_it_has_its_own_time(kit, line):
     there, back = travel(40.0), travel(0.0, due_s=0.5, lasts_s=0.4)
     state = timed(kit, there, back)
