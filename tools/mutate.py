@@ -53,6 +53,7 @@ TARGETS = {
     "program/line": ("tests/unit/program/test_line.py",),
     "program/move_table": ("tests/unit/program/test_move_table.py",),
     "player/estimators": ("tests/unit/player/test_estimators.py",),
+    "player/lost_moves": ("tests/unit/player/test_lost_moves.py",),
     "player/faults": ("tests/unit/player/test_faults.py", _LADDER),
     "player/health": ("tests/unit/player/test_health.py",),
     "player/joint_state": ("tests/unit/player/test_joint_state.py",),

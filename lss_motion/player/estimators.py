@@ -1,4 +1,4 @@
-"""Estimators for one joint from its readings: load, play and lag, and lost moves.
+"""Estimators for one joint from its readings: load, play and lag.
 
 A bus without checksums can deliver a wrong number that looks right, so `DisturbanceEstimator` first
 checks that a reading is plausible. It keeps the correction: what is added to the targets of a
@@ -8,13 +8,6 @@ joint, within bounds.
 the gears, a lag. What no such cause explains, as wrong ramps or a weak motor, makes it less sure,
 and corrections that make the errors larger are dropped.
 
-`LostMoveDetector` detects moves that the servo did not receive. A line without acknowledgement
-loses a command now and then, and the servo goes on with the one before. So after every move to
-another target the servo is polled for its target (QDT, FACTS.md C2: "the target angle during and
-after an action"). An answer with the target before means that the move was lost. Besides, for each
-of the last moves the profile without it is kept until a reported target or the readings decide:
-they tell the profiles apart once these diverge.
-
 `Trace` keeps readings for a picture.
 """
 
@@ -23,11 +16,7 @@ from __future__ import annotations
 import math
 import operator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from lss_motion.robot.profile import Profile
-
+from typing import Final
 
 JUMP_MARGIN_DEG: Final = 5.0
 """A horn may seem to jump this far beyond what its speed allows: noise, backlash and lag."""
@@ -475,180 +464,6 @@ class DisturbanceEstimator:
     def _could_reach(self, from_deg: float, from_s: float, to_deg: float, to_s: float) -> bool:
         reach_deg = self.speed_max_deg_s * max(to_s - from_s, 0.0) + JUMP_MARGIN_DEG
         return abs(to_deg - from_deg) <= reach_deg
-
-
-PARTED_DEG: Final = 1.0
-"""The horn must be nearer to one profile than to the other by this: ten times the noise of a
-reading, and the effect of a lag that is wrong by 10 ms at 100 deg/s. Chosen."""
-NEAR_DEG: Final = 0.6
-NEAR_RATIO: Final = 0.3
-"""The horn may be no further from the other profile than `NEAR_DEG`, or than this share of its
-distance from its own: a lag that is not known yet, or a weak motor, leads it away from both."""
-SURE_S: Final = 0.01
-"""The readings must agree for this long: a horn that only crosses another profile is soon
-elsewhere."""
-OTHERS_MAX: Final = 3
-"""Number of moves that are in doubt at once; the oldest counts as received."""
-QUERIES_MAX: Final = 3
-"""Queries for the target of one move; after that the readings decide. Chosen: two unanswered
-queries take long enough for them."""
-MISMATCHES_MAX: Final = 6
-"""A servo that reports another target this often in a row means something else by it, such as
-limits of its own, and is not polled for it any more. A line that loses every fifth command
-causes this once in 15000 moves."""
-REPORTED_LOOPS: Final = 1.5
-"""Number of control ticks after a move has arrived until a servo reports its target. Assumed, with
-half a tick to spare: no document says when it does (FACTS.md C2)."""
-DEAD_MAX_S: Final = 0.12
-"""A servo that reports the target before a move may take it up late. Until it has reported
-`PROMPT_LEAST` targets at once, it is asked again after this time before the move counts as lost.
-Chosen: longer than a lag that can be corrected."""
-PROMPT_LEAST: Final = 3
-SAME_UNITS: Final = 1.5
-"""Targets that differ by no more wire units than this are the same, since a servo that counts in
-its own units may be one off."""
-
-
-@dataclass(slots=True)
-class LastMove:
-    """The last move that was sent to a servo, and its profile before that."""
-
-    before: Profile
-    arrival_s: float
-    target_deg: float
-    duration_s: float | None
-    queries_left: int
-    is_rechecked: bool = False
-    """Whether the servo reported the target before it, and is asked again later."""
-    unknown_deg: float | None = None
-    """A target that was never sent, but that the servo reported once."""
-
-
-@dataclass(slots=True)
-class Alternative:
-    """The profile of a servo that has lost one of the last moves."""
-
-    profile: Profile
-    since_s: float | None = None
-    """Instant since which all readings have matched this profile."""
-
-
-@dataclass(slots=True)
-class LostMoveDetector:
-    """Detects which moves one servo has lost."""
-
-    unit_deg: float
-    """One wire unit."""
-    loop_s: float
-    """Period of the servo's control tick, at which it starts a move (`Response.loop_s`)."""
-    alternatives: list[Alternative] = field(default_factory=list)
-    last: LastMove | None = None
-    report_s: float = 0.0
-    """Time after a move until this servo reports its target, if it is longer than assumed."""
-    prompt: int = 0
-    """Targets that it reported at the first query."""
-    mismatches: int = 0
-    """How often in a row the servo reported another target than the one that was sent."""
-    is_doubtful: bool = False
-    """Whether the last reading matched another profile: then nothing else is learnt from it."""
-
-    def commanded(
-        self, before: Profile, arrival_s: float, target_deg: float, duration_s: float | None
-    ) -> None:
-        """Note a new move; `before` is a copy of the profile before it."""
-        for other in self.alternatives:
-            other.profile.retarget(arrival_s, target_deg, duration_s)
-            other.since_s = None
-        self.alternatives = [*self.alternatives[-(OTHERS_MAX - 1) :], Alternative(before)]
-        is_conclusive = (
-            self._differs(before.target_deg, target_deg) and self.mismatches < MISMATCHES_MAX
-        )
-        queries = QUERIES_MAX if is_conclusive else 0
-        self.last = LastMove(before.copy(), arrival_s, target_deg, duration_s, queries)
-
-    def take_over(self, earlier: LostMoveDetector) -> None:
-        """Take over whether the servo reports its targets as they were sent."""
-        self.mismatches, self.report_s = earlier.mismatches, earlier.report_s
-        self.prompt = earlier.prompt
-
-    @property
-    def target_due_s(self) -> float:
-        """Instant from which the servo must be polled for its target; infinite: it need not be."""
-        last = self.last
-        return self._reported_s(last) if last is not None and last.queries_left > 0 else math.inf
-
-    def count_target_query(self) -> None:
-        """Note that the servo is polled for its target now."""
-        assert self.last is not None
-        self.last.queries_left -= 1
-
-    def target_reported(self, at_s: float, target_deg: float) -> Profile | None:
-        """Use the target that a servo reported at `at_s`; return as `judge` does.
-
-        A target that was never sent must be reported twice, since the answer may be damaged.
-        """
-        last = self.last
-        if last is None or at_s < self._reported_s(last):
-            return None
-        if not self._differs(target_deg, last.target_deg):
-            if last.is_rechecked:
-                self.report_s = DEAD_MAX_S
-            else:
-                self.prompt += 1
-            self.mismatches, last.queries_left = 0, 0
-            self.alternatives = [o for o in self.alternatives if not self._parts(o.profile)]
-            return None
-        is_before = not self._differs(target_deg, last.before.target_deg)
-        if is_before and self.prompt < PROMPT_LEAST and not last.is_rechecked:
-            last.is_rechecked = True  # It may only be slow to take a move up.
-            last.queries_left = max(last.queries_left, 1)
-            return None
-        self.mismatches += 1
-        course = last.before
-        if self._differs(target_deg, course.target_deg):
-            if last.unknown_deg is None or self._differs(target_deg, last.unknown_deg):
-                last.unknown_deg = target_deg
-                return None
-            course.retarget(last.arrival_s, target_deg, last.duration_s)
-        self.alternatives, self.last = [], None
-        return course
-
-    def _reported_s(self, last: LastMove) -> float:
-        least_s = DEAD_MAX_S if last.is_rechecked else self.report_s
-        return last.arrival_s + max(REPORTED_LOOPS * self.loop_s, least_s)
-
-    def _parts(self, other: Profile) -> bool:
-        """Return whether `other` has another target than the last one that was sent."""
-        return self.last is None or self._differs(other.target_deg, self.last.target_deg)
-
-    def _differs(self, one_deg: float, other_deg: float) -> bool:
-        return abs(one_deg - other_deg) > SAME_UNITS * self.unit_deg
-
-    def judge(self, at_s: float, expected_deg: float, free_deg: float) -> Profile | None:
-        """Return the profile that the servo really follows; None: its own, as far as is known.
-
-        `expected_deg` is the angle of its profile at `at_s` (on the time of the profile, lag taken
-        off), `free_deg` the measured angle without the disturbance.
-        """
-        off_deg = abs(free_deg - expected_deg)
-        nears = [(abs(free_deg - other.profile.at(at_s)[0]), other) for other in self.alternatives]
-        nears = [near for near in nears if near[0] - off_deg <= PARTED_DEG]
-        self.alternatives = [other for _, other in nears]
-        near_deg, likely = min(nears, key=lambda near: near[0], default=(math.inf, None))
-        if off_deg - near_deg < PARTED_DEG or near_deg > max(NEAR_DEG, NEAR_RATIO * off_deg):
-            likely = None
-        for other in self.alternatives:
-            if other is not likely:
-                other.since_s = None
-        self.is_doubtful = likely is not None
-        if likely is None:
-            return None
-        if likely.since_s is None:
-            likely.since_s = at_s
-        if at_s - likely.since_s < SURE_S:
-            return None
-        self.alternatives = []
-        return likely.profile
 
 
 POINTS_MAX: Final = 1000

@@ -19,9 +19,9 @@ from lss_motion.player.estimators import (
     OFFSET_MAX_DEG,
     OFFSET_RATE_DEG_S,
     DisturbanceEstimator,
-    LostMoveDetector,
     Trace,
 )
+from lss_motion.player.lost_moves import LostMoveDetector
 from lss_motion.player.setpoints import Setpoints, make_setpoints, step_gain_deg
 from lss_motion.player.standing import StandingCorrector
 from lss_motion.program.drives import profile_lead_s

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from lss_motion.player.cues import POLL_PERIOD_NS, Waiting
-from lss_motion.player.estimators import PROMPT_LEAST
 from lss_motion.player.health import SILENT_QUERIES
+from lss_motion.player.lost_moves import PROMPT_LEAST
 from lss_motion.player.polling import (
     BACKLOG_BYTES,
     LATE_NS,
