@@ -64,6 +64,11 @@ nothing. Chosen: on simulated servos that lag as assumed the estimate stays with
 (measured). A difference of twice as much is corrected fully."""
 SPEED_DEG_S: Final = 20.0
 """From this speed on a reading says how late the horn is."""
+STEADY_RATIO: Final = 0.7
+"""A slower reading does so, too, where the horn has not been much faster shortly before: in the
+ramps of a quick move the response model is least right."""
+CLEAR_S: Final = 0.01
+"""One whose scatter is as large as the way of this time counts half: in slow moves it says less."""
 LATE_MAX_S: Final = 0.15
 """A horn that seems later than this counts as this late."""
 TRUST_S: Final = 2.0
@@ -78,12 +83,15 @@ or a weak motor less than a third; to send earlier for these made things worse."
 BOUND_RATIO: Final = 0.9
 """A lag of this share of the largest one is at its bound, as far as readings can tell."""
 LAG_SURE_S: Final = 0.008
-"""In a show of slow moves only a lag is one if its standard deviation is below this. Measured: 5 to
-8 ms with a lag, 10 with play that looks like one."""
+"""A lag is certain if its standard deviation is below this. Measured: 4 to 8 ms with a lag, in slow
+shows 10 with play that looks like one."""
 FOUND_S: Final = 0.02
 """From this error in motion on less is corrected, and none from twice as much on. Measured: 1 to
 9 ms where the model of the servo is right, 20 to 580 ms with other ramps, another retarget, or a
 weak motor."""
+UNEXPLAINED_MAX_S: Final = 0.1
+"""A reading counts as no further off than this, so that a wrong one, or a few behind a lost move,
+are not taken for a wrong model. Chosen: more than twice `FOUND_S`."""
 NAMED_S: Final = 0.0165
 NAMED_READINGS: Final = 7
 """An error of this size that is left in motion, at so many readings in a row, is a wrong model of
@@ -227,20 +235,16 @@ class HornEstimator:
 
     @property
     def _is_lag(self) -> bool:
-        """Whether it is certainly a lag that makes the horn late.
-
-        In moves too slow for that the errors say nothing about it, but many of them the lag itself.
-        """
-        if self._plain > 0.0:
-            return self.explained_ratio > EXPLAINED_SURE
-        return math.sqrt(max(self._cov[-1][-1], 0.0)) < LAG_SURE_S
+        """Whether it is certainly a lag that makes the horn late."""
+        unsure_s = math.sqrt(max(self._cov[-1][-1], 0.0))
+        return unsure_s < LAG_SURE_S and self.explained_ratio > EXPLAINED_SURE
 
     # ---- what readings say
 
     def judge_load(self, error_deg: float, load_deg: float, elapsed_s: float) -> None:
         """Note the distance from the plan that the horn would have without a correction.
 
-        `load_deg` is what the present move was to be corrected for.
+        `load_deg` is the correction for the load where the horn is, whether it is worth it or not.
         """
         weight = min(elapsed_s, CORRELATED_S)
         keep = math.exp(-weight / WORTH_S)
@@ -289,9 +293,9 @@ class HornEstimator:
             self._judge_model(surprise_deg + late_deg, recent_deg_s, elapsed_s)
         if recent_deg_s > 0.0:
             self._learn_timing(square_deg2, recent_deg_s, elapsed_s)
-        if abs(speed_deg_s) >= SPEED_DEG_S:
+        if abs(speed_deg_s) >= min(SPEED_DEG_S, STEADY_RATIO * recent_deg_s) > 0.0:
             late_s = (plain_deg - measured_deg - load_deg) / speed_deg_s
-            self._judge_lag(late_s, surprise_deg / speed_deg_s, elapsed_s)
+            self._judge_lag(late_s, surprise_deg / speed_deg_s, speed_deg_s, elapsed_s)
 
     def rest(self, load_deg: float, angle_deg: float) -> None:
         """Use the distance of a horn that certainly rests on `angle_deg` from its profile."""
@@ -324,9 +328,14 @@ class HornEstimator:
         self.noise_deg2 += share * (square_deg2 - self.noise_deg2)
 
     def _learn_timing(self, square_deg2: float, speed_deg_s: float, elapsed_s: float) -> None:
-        keep = math.exp(-min(elapsed_s, CORRELATED_S) / MOTION_S)
-        self._timing_deg2 = keep * self._timing_deg2 + (1.0 - keep) * square_deg2
-        self._timing_speed2 = keep * self._timing_speed2 + (1.0 - keep) * speed_deg_s * speed_deg_s
+        """Note a squared error in motion: what is more than the scatter of readings is timing."""
+        speed2 = speed_deg_s * speed_deg_s
+        share = speed2 / (speed2 + self.noise_deg2 / FOUND_S**2)
+        keep = math.exp(-share * min(elapsed_s, CORRELATED_S) / MOTION_S)
+        square_deg2 = min(square_deg2, UNEXPLAINED_MAX_S**2 * speed2 + self.noise_deg2)
+        timing_deg2 = keep * self._timing_deg2 + (1.0 - keep) * (square_deg2 - self.noise_deg2)
+        self._timing_deg2 = max(timing_deg2, 0.0)
+        self._timing_speed2 = keep * self._timing_speed2 + (1.0 - keep) * speed2
 
     def _judge_model(self, left_deg: float, speed_deg_s: float, elapsed_s: float) -> None:
         """Note an error in motion that load and corrections leave."""
@@ -340,8 +349,11 @@ class HornEstimator:
         if self._found < NAMED_READINGS:
             self._found = self._found + 1 if is_large and self.moving > NAMED_FROM else 0
 
-    def _judge_lag(self, late_s: float, left_s: float, elapsed_s: float) -> None:
-        weight = min(elapsed_s, CORRELATED_S)
+    def _judge_lag(
+        self, late_s: float, left_s: float, speed_deg_s: float, elapsed_s: float
+    ) -> None:
+        scatter_s2 = self.noise_deg2 / (speed_deg_s * speed_deg_s)
+        weight = CLEAR_S**2 / (CLEAR_S**2 + scatter_s2) * min(elapsed_s, CORRELATED_S)
         keep = math.exp(-weight / TRUST_S)
         self._plain = keep * self._plain + weight * min(late_s * late_s, LATE_MAX_S**2)
         self._left = keep * self._left + weight * min(left_s * left_s, LATE_MAX_S**2)
@@ -370,8 +382,6 @@ class DisturbanceEstimator:
     """The correction: what is added to a target."""
     estimate_deg: float = 0.0
     """What the correction should be at the last reading."""
-    candidate_deg: float = 0.0
-    """The last load for which a move was to be corrected, whether that was worth it or not."""
     readings: int = 0
     rejected: int = 0
     square_sum_deg2: float = 0.0
@@ -383,6 +393,10 @@ class DisturbanceEstimator:
     offset_max_deg: float = 0.0
     measured_deg: float | None = None
     read_s: float | None = None
+    moved_deg: float = 0.0
+    """The smaller of the last two changes of the reading; 0 if one leads back, as after a wrong
+    reading."""
+    _change_deg: float = 0.0
     _suspect: tuple[float, float] | None = field(default=None, repr=False)
 
     def take(
@@ -402,6 +416,8 @@ class DisturbanceEstimator:
             self.rejected += 1
             return None
         elapsed_s = GAP_S if self.read_s is None else read_s - self.read_s
+        if self.measured_deg is not None:
+            self._note_change(measured_deg - self.measured_deg)
         self.measured_deg, self.read_s = measured_deg, read_s
         self.readings += 1
         self.error_deg = planned_deg - measured_deg
@@ -410,11 +426,16 @@ class DisturbanceEstimator:
         self.error_max_deg = max(self.error_max_deg, abs(self.error_deg))
         return elapsed_s
 
+    def _note_change(self, change_deg: float) -> None:
+        before_deg, self._change_deg = self._change_deg, change_deg
+        is_on = change_deg * before_deg > 0.0
+        self.moved_deg = min(abs(change_deg), abs(before_deg)) if is_on else 0.0
+
     def aim(self, target_deg: float, way: float, most_deg: float) -> None:
         """Move the correction towards what the load does at `target_deg`, by `most_deg` at most."""
         most_deg = min(most_deg, self.step_max_deg)
-        self.candidate_deg = self.horn.correction_deg(target_deg, way)
-        change_deg = self.horn.worth_ratio * self.candidate_deg - self.offset_deg
+        correction_deg = self.horn.correction_deg(target_deg, way)
+        change_deg = self.horn.worth_ratio * correction_deg - self.offset_deg
         self.correct(self.offset_deg + min(max(change_deg, -most_deg), most_deg))
 
     def note_estimate(self, angle_deg: float, way: float) -> None:

@@ -473,10 +473,10 @@ class JointState:
         assert self.lost_moves is not None
         horn, before_deg = self.disturbance.horn, self.disturbance.measured_deg
         course_s = read_s - self.lead_s - horn.early_s
-        expected_deg, _ = self.profile.at(course_s)
+        expected_deg, speed_deg_s = self.profile.at(course_s)
         self._note_way(expected_deg)
         free_deg = measured_deg + horn.load_deg(expected_deg, self._way)
-        other = self.lost_moves.judge(course_s, expected_deg, free_deg)
+        other = self.lost_moves.judge(course_s, expected_deg, free_deg, speed_deg_s)
         elapsed_s = self.disturbance.take(
             measured_deg, read_s, expected_deg=expected_deg, planned_deg=planned_deg
         )
@@ -499,9 +499,9 @@ class JointState:
         recent_deg_s = self._recent_deg_s(course_s)
         if not (self.standing.is_pushed or self._is_approach):
             error_deg = self.disturbance.error_deg + self.disturbance.offset_deg
-            horn.judge_load(error_deg, self.disturbance.candidate_deg, elapsed_s)
+            horn.judge_load(error_deg, horn.correction_deg(lagged_deg, self._way), elapsed_s)
             if before_deg is not None:  # It may still be on its way, whatever its profile does.
-                moved_deg = abs(measured_deg - before_deg) - 3.0 * math.sqrt(horn.noise_deg2)
+                moved_deg = self.disturbance.moved_deg - 3.0 * math.sqrt(horn.noise_deg2)
                 recent_deg_s = max(recent_deg_s, moved_deg / elapsed_s)
             course = plain_deg, lagged_deg, speed_deg_s, recent_deg_s
             horn.take(measured_deg, course, self._way, elapsed_s)
@@ -538,7 +538,7 @@ class JointState:
     def aim(self, duration_s: float, now_ns: int) -> None:
         """Set the correction for the move under way, which has `duration_s` to travel."""
         if self.setpoints is None:
-            way_deg = self.target_deg - self.place(now_ns)[0]
+            way_deg = self.target_deg + self.disturbance.offset_deg - self.place(now_ns)[0]
             way = math.copysign(1.0, way_deg) if abs(way_deg) > WAY_DEG else self._way
             self.disturbance.aim(self.target_deg, way, OFFSET_RATE_DEG_S * duration_s)
 

@@ -163,18 +163,22 @@ class LostMoveDetector:
     def _differs(self, one_deg: float, other_deg: float) -> bool:
         return abs(one_deg - other_deg) > SAME_UNITS * self.unit_deg
 
-    def judge(self, at_s: float, expected_deg: float, free_deg: float) -> Profile | None:
+    def judge(
+        self, at_s: float, expected_deg: float, free_deg: float, speed_deg_s: float
+    ) -> Profile | None:
         """Return the profile that the servo really follows; None: its own, as far as is known.
 
-        `expected_deg` is the angle of its profile at `at_s` (on the time of the profile, lag taken
-        off), `free_deg` the measured angle without the disturbance.
+        `expected_deg` and `speed_deg_s` are those of its profile at `at_s` (on the time of the
+        profile, lag taken off), `free_deg` is the measured angle without the disturbance. Which
+        control tick takes a move up is not known: what that leaves open parts no profiles.
         """
+        parted_deg = PARTED_DEG + self.loop_s * abs(speed_deg_s)
         off_deg = abs(free_deg - expected_deg)
         nears = [(abs(free_deg - other.profile.at(at_s)[0]), other) for other in self.alternatives]
-        nears = [near for near in nears if near[0] - off_deg <= PARTED_DEG]
+        nears = [near for near in nears if near[0] - off_deg <= parted_deg]
         self.alternatives = [other for _, other in nears]
         near_deg, likely = min(nears, key=lambda near: near[0], default=(math.inf, None))
-        if off_deg - near_deg < PARTED_DEG or near_deg > max(NEAR_DEG, NEAR_RATIO * off_deg):
+        if off_deg - near_deg < parted_deg or near_deg > max(NEAR_DEG, NEAR_RATIO * off_deg):
             likely = None
         for other in self.alternatives:
             if other is not likely:

@@ -302,7 +302,7 @@ def go_to_and_fro(state, lag_s, moves=20, droop_deg=0.0):
         start_s = 2.0 + 0.5 * index
         state.note_sent(round(1e9 * start_s), 400 * (index % 2), 500)
         for at_s in start_s + np.arange(0.06, 0.5, 0.05):
-            read(state, at_s, horn_deg(state, at_s, lag_s) - droop_deg)
+            read(state, at_s, horn_deg(state, at_s, lag_s) - droop_deg, horn_deg(state, at_s))
 
 
 def test_a_horn_on_its_course_is_not_disturbed_and_its_error_is_what_the_plan_misses(state):
@@ -327,6 +327,16 @@ def test_a_load_is_no_lag(state):
     go_to_and_fro(state, 0.0, droop_deg=2.0)
     assert abs(state.disturbance.horn.lag_s) < DEAD_S
     assert state.disturbance.estimate_deg == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_wrong_reading_of_a_joint_at_rest_is_no_wrong_model(state):
+    """A lost minus sign, for one: it seems to move, and is where it was before."""
+    go_to_and_fro(state, 0.0, droop_deg=2.0)
+    horn, learnt_deg = state.disturbance.horn, state.disturbance.estimate_deg
+    for step, wrong_deg in enumerate((0.0, 0.0, 0.0, 12.0, 0.0, 0.0)):
+        read(state, 14.0 + 0.06 * step, horn_deg(state, 14.0) - 2.0 + wrong_deg)
+    assert (horn.model_ratio, horn.unexplained_s < 0.01) == (1.0, True)
+    assert horn.correction_deg(40.0, 0.0) == pytest.approx(learnt_deg, abs=0.1)
 
 
 def test_the_first_reading_sends_nothing_earlier(state):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from lss_motion.player.lost_moves import (
@@ -45,7 +47,8 @@ def judged(received, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
             said.retarget(*MOVES[commanded])
             commanded += 1
         measured_deg = truth.at(time_s)[0] + noise(time_s)
-        found = lost_moves.judge(time_s, said.at(time_s)[0], measured_deg)
+        expected_deg, speed_deg_s = said.at(time_s)
+        found = lost_moves.judge(time_s, expected_deg, measured_deg, speed_deg_s)
         if found is not None:
             return time_s, found
         time_s += 1.0 / hz
@@ -90,7 +93,9 @@ def test_a_horn_that_is_held_up_has_not_missed_anything():
         said.retarget(*one)
     assert not lost_moves.is_doubtful
     for step in range(100):
-        assert lost_moves.judge(0.8 + step / 100, said.at(0.8 + step / 100)[0], 90.0) is None
+        at_s = 0.8 + step / 100
+        expected_deg, speed_deg_s = said.at(at_s)
+        assert lost_moves.judge(at_s, expected_deg, 90.0, speed_deg_s) is None
         assert not lost_moves.is_doubtful
 
 
@@ -119,34 +124,45 @@ def test_a_horn_that_stays_near_another_course_is_on_it(
     expected_deg, others_deg, free_deg, found_deg
 ):
     lost_moves = doubting(*others_deg)
-    assert lost_moves.judge(1.0, expected_deg, free_deg) is None, "one reading is no proof"
+    assert lost_moves.judge(1.0, expected_deg, free_deg, 0.0) is None, "one reading is no proof"
     assert lost_moves.is_doubtful is (found_deg is not None)
-    found = lost_moves.judge(1.0 + 2.0 * SURE_S, expected_deg, free_deg)
+    found = lost_moves.judge(1.0 + 2.0 * SURE_S, expected_deg, free_deg, 0.0)
     assert (found and found.at(1.1)[0]) == found_deg
     assert not (found and lost_moves.alternatives), "what it is on is known, and doubted no more"
+
+
+def test_what_one_control_tick_makes_of_a_fast_move_is_no_other_course():
+    """At 300 deg/s a horn may be 1.5 deg behind and have received all moves."""
+    lost_moves = doubting(2.15)
+    for number in range(5):
+        assert lost_moves.judge(1.0 + number * SURE_S, 0.0, 1.6, 300.0) is None
+        assert not lost_moves.is_doubtful
+    lost_moves = doubting(3.0)
+    lost_moves.judge(1.0, 0.0, 2.8, 300.0)
+    assert lost_moves.is_doubtful, "but further off it is"
 
 
 def test_a_horn_that_crosses_another_course_twice_is_not_on_it():
     lost_moves = doubting(0.0)
     for number, free_deg in enumerate((0.0, 9.0, 0.0)):
-        assert lost_moves.judge(1.0 + number * SURE_S, 20.0, free_deg) is None
-    assert lost_moves.judge(1.0 + 4 * SURE_S, 20.0, 0.0) is not None
+        assert lost_moves.judge(1.0 + number * SURE_S, 20.0, free_deg, 0.0) is None
+    assert lost_moves.judge(1.0 + 4 * SURE_S, 20.0, 0.0, 0.0) is not None
 
 
 def test_a_course_that_a_reading_has_refuted_is_out():
     lost_moves = doubting(0.0)
-    lost_moves.judge(1.0, 20.0, 20.0)
+    lost_moves.judge(1.0, 20.0, 20.0, 0.0)
     for number in range(1, 5):
-        assert lost_moves.judge(1.0 + number * SURE_S, 20.0, 0.0) is None
+        assert lost_moves.judge(1.0 + number * SURE_S, 20.0, 0.0, 0.0) is None
         assert not lost_moves.is_doubtful
 
 
 def test_what_spoke_for_a_course_before_a_move_is_no_proof_after_it():
     lost_moves = doubting(0.0)
-    lost_moves.judge(1.0, 20.0, 0.0)
+    lost_moves.judge(1.0, 20.0, 0.0, 0.0)
     lost_moves.commanded(standing(20.0), 1.0, 1.0, 1.0)
-    assert lost_moves.judge(1.0 + 2.0 * SURE_S, 20.0, 0.0) is None
-    assert lost_moves.judge(1.0 + 4.0 * SURE_S, 20.0, 0.0) is not None
+    assert lost_moves.judge(1.0 + 2.0 * SURE_S, 20.0, 0.0, 0.0) is None
+    assert lost_moves.judge(1.0 + 4.0 * SURE_S, 20.0, 0.0, 0.0) is not None
 
 
 def test_the_oldest_of_many_moves_counts_as_received():
@@ -184,6 +200,31 @@ def test_a_servo_that_may_take_moves_up_late_is_asked_again_before_one_counts_as
     assert lost_moves.target_due_s > 1.0, "it reports its targets late"
     assert lost_moves.target_reported(1.03, 40.0) is None, "the first time it may be late once more"
     assert lost_moves.target_reported(1.03, 40.0) is not None
+
+
+def test_one_that_has_taken_moves_up_at_once_three_times_is_believed_at_once():
+    for prompt in range(PROMPT_LEAST + 1):
+        first, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
+        for number in range(prompt):
+            first.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.1)
+            said.retarget(0.1 * number, 10.0 + number, 0.1)
+            first.target_reported(0.1 * number + 0.02, 10.0 + number)
+        lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
+        lost_moves.take_over(first)  # As after a pause.
+        lost_moves.commanded(said.copy(), 0.7, 40.0, 0.8)
+        found = lost_moves.target_reported(0.72, said.target_deg)
+        assert (found is not None) is (prompt >= PROMPT_LEAST == 3)
+
+
+def test_one_that_is_asked_again_is_so_even_if_no_query_was_left(commanded):
+    lost_moves, _ = commanded
+    lost_moves.prompt = 0
+    for _ in range(QUERIES_MAX):
+        lost_moves.count_target_query()
+    assert lost_moves.target_reported(0.72, -20.0) is None
+    assert 0.8 < lost_moves.target_due_s < 0.85
+    lost_moves.count_target_query()
+    assert lost_moves.target_due_s == math.inf, "once"
 
 
 @pytest.mark.parametrize("off_deg", [-UNIT_DEG, 0.0, UNIT_DEG])

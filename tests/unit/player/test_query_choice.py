@@ -76,10 +76,11 @@ def strayed(state, desk):
 
 
 def uncorrected(state, desk):
-    desk.values[1, "QD"] = round(10 * (STRAYED_DEG - 0.2))
+    load_deg = 0.5 * (STRAYED_DEG + UNCORRECTED_DEG)
+    desk.values[1, "QD"] = -round(10 * load_deg)
     state.disturbance.step_max_deg = 0.0
     for _ in range(500):
-        state.disturbance.horn.take(-2.0 - UNCORRECTED_DEG, (0.0, 0.0, 0.0, 0.0), 0.0, 0.1)
+        state.disturbance.horn.take(-load_deg, (0.0, 0.0, 0.0, 0.0), 0.0, 0.1)
 
 
 def in_doubt(state, desk):
