@@ -68,8 +68,10 @@ FOLLOWING_DEG: Final = 90.0
 """So no fault slows a show down, and it is the corrections that are judged."""
 SHOW_S: Final = 12.0
 HARM_RATIO: Final = 1.02
-HARM_DEG: Final = 0.01
-"""With feedback the RMS may be this much larger: a tenth of a wire unit of an LSS is no harm."""
+"""With feedback the RMS may be this much larger."""
+SEEDS: Final = (1, 2, 3)
+"""Where commands are lost it is luck which: with feedback others are than without, and RMS over
+several runs is compared."""
 STANDING_DEG: Final = 0.25
 LATE_DEG: Final = 1.0
 """A horn that comes nearer to its plan by this in a hold had not arrived, without feedback: the
@@ -124,7 +126,8 @@ class Outcome:
     findings: frozenset[str] = field(default_factory=frozenset)
     """Joints whose model was named as wrong."""
     observable: frozenset[str] = field(default_factory=frozenset)
-    """Joints that must be: their model is wrong, and so are their horns."""
+    """Joints that must be: their model is wrong, and so are their horns, also where no command is
+    lost."""
     is_model_right: bool = False
     """Whether none may be named: what deviates is the load, the line, or nothing."""
 
@@ -210,7 +213,14 @@ def played(
         begin_s = begun_ns / NS_PER_S + _longest_hold_s(case) + PUSH_S
         text = f"{text},push_at={begin_s:.2f}s"
     result, begun_ns = _perform(case, text, other_ns, has_feedback=has_feedback, seed=seed)
-    return _judged(case, text, result, begun_ns)
+    outcome = _judged(case, text, result, begun_ns)
+    if outcome.observable and "lost=" in text:
+        calm = ",".join(part for part in text.split(",") if not part.startswith("lost="))
+        result, _ = _perform(case, calm, other_ns, has_feedback=has_feedback, seed=seed)
+        assert result.truth is not None, "the show was not played"
+        by_model = outcome.observable & _strayed(case, result.truth)
+        outcome = replace(outcome, observable=by_model)
+    return outcome
 
 
 def _perform(
@@ -308,8 +318,37 @@ def _strayed(case: Case, truth: Truth) -> frozenset[str]:
 
 def compared(case: Case, text: str) -> tuple[Outcome, Outcome]:
     """Play a case with feedback, then without from the same phase of the control loops."""
-    ours = played(case, text, has_feedback=True)
-    return ours, played(case, text, has_feedback=False, after=ours)
+    pairs = []
+    for seed in SEEDS if deviation_from_text(text).lost_ratio else SEEDS[:1]:
+        ours = played(case, text, has_feedback=True, seed=seed)
+        pairs.append((ours, played(case, text, has_feedback=False, seed=seed, after=ours)))
+    ours, others = zip(*pairs, strict=True)
+    return _in_all(ours), _in_all(others)
+
+
+def _in_all(runs: tuple[Outcome, ...]) -> Outcome:
+    """Return what the horns of several runs did: RMS over all, the worst of the others."""
+    if len(runs) == 1:
+        return runs[0]
+    return Outcome(
+        rms_deg=_rms([one.rms_deg for one in runs]),
+        max_deg=max(one.max_deg for one in runs),
+        standing_deg=max(one.standing_deg for one in runs),
+        is_late=any(one.is_late for one in runs),
+        swings=max(one.swings for one in runs),
+        speed_ratio=max(one.speed_ratio for one in runs),
+        accel_ratio=max(one.accel_ratio for one in runs),
+        outcome=next((one.outcome for one in runs if one.outcome != "finished"), "finished"),
+        origin_ns=runs[0].origin_ns,
+        findings=_of_runs([one.findings for one in runs]),
+        observable=_of_runs([one.observable for one in runs]),
+        is_model_right=runs[0].is_model_right,
+    )
+
+
+def _of_runs(names: list[frozenset[str]]) -> frozenset[str]:
+    """Return names of joints, each with the number of its run."""
+    return frozenset(f"{name} in run {n}" for n, own in enumerate(names, 1) for name in own)
 
 
 def _judged_spans(
@@ -365,7 +404,7 @@ def problems(ours: Outcome, other: Outcome) -> list[str]:
         found.append(f"unnamed {', '.join(sorted(ours.unnamed))}")
     if ours.is_model_right and ours.findings:
         found.append(f"misnamed {', '.join(sorted(ours.findings))}")
-    if ours.rms_deg > HARM_RATIO * other.rms_deg + HARM_DEG:
+    if ours.rms_deg > HARM_RATIO * other.rms_deg:
         found.append(f"RMS x{ours.rms_deg / other.rms_deg:.2f}")
     for what, own, theirs in (
         ("speed", ours.speed_ratio, other.speed_ratio),
