@@ -264,9 +264,6 @@ def _without_interruptions(clock: Clock) -> Iterator[None]:
     was_enabled = gc.isenabled()
     with contextlib.ExitStack() as stack:
         if not clock.is_virtual:
-            gc.collect()
-            gc.freeze()
-            stack.callback(gc.unfreeze)
             stack.enter_context(prompt_waits())
         gc.disable()
         try:
