@@ -16,11 +16,17 @@ REST_LEAST_S: Final = 0.25
 """Where the model of the servo is wrong, a rest is judged for at least so long: a horn may be on
 its way. One that turns round within ramps a tenth as steep as usual is slow for half of that."""
 UNCHANGED_RATIO: Final = 0.1
-"""A correction had no effect if it changed the error by no more than this share: the play of the
-gears took all of it up, and the next one is twice the error without any correction: without a load
-that is half of the play, so these two are all that is needed."""
+UNCHANGED_SIGMAS: Final = 2.0
+"""A correction had no effect if it changed the error by no more than this share, or than readings
+scatter: the play of the gears took all of it up, and the next one is twice the error without any
+correction: without a load that is half of the play, so these two are all that is needed."""
+PLAY_LEAST_RATIO: Final = 1.2
+"""The play is more than the correction that had no effect, at least by so much."""
 PLAY_MAX_DEG: Final = 2.0
 """No more play than this is taken up at once. Chosen: more than the gears of any servo have."""
+JUMP_LEAST_DEG: Final = 0.25
+"""For a smaller error no play is taken up at once: with a load the play may be less than it seems,
+and the horn go too far."""
 HELPED_RATIO: Final = 0.6
 """A correction has helped if it leaves no more than this share of the error."""
 ATTEMPTS_MAX: Final = 4
@@ -56,6 +62,8 @@ class StandingCorrector:
     """Error before the correction that is on trial."""
     _before_deg: float = 0.0
     """Correction before that."""
+    _is_jumped: bool = False
+    """Whether the play has been taken up at once on this trial."""
     _last_deg: float = 0.0
     """Error before the last correction."""
     _misses: int = 0
@@ -116,27 +124,41 @@ class StandingCorrector:
             return None
         error_deg = sum(self._errors_deg) / count
         spread = sum((one - error_deg) ** 2 for one in self._errors_deg) / (count - 1)
-        noise_deg = max(noise_deg, math.sqrt(spread))
-        least_deg = max(STANDING_DEG, STANDING_SIGMAS * noise_deg / math.sqrt(count))
-        if self._tried_deg is not None:
-            if abs(error_deg) <= max(HELPED_RATIO * abs(self._tried_deg), 0.5 * least_deg):
-                self._tried_deg, self._misses = None, 0
-            elif self._misses + 1 < ATTEMPTS_MAX:
-                self._misses += 1
-            else:
-                self._attempts = ATTEMPTS_IN_ALL
-                self._tried_deg = None
-                return self._before_deg
+        scatter_deg = max(noise_deg, math.sqrt(spread)) / math.sqrt(count)
+        least_deg = max(STANDING_DEG, STANDING_SIGMAS * scatter_deg)
+        if self._tried_deg is not None and self._has_failed(error_deg, least_deg):
+            self._tried_deg = None
+            return self._before_deg
         if abs(error_deg) <= least_deg or self._attempts >= ATTEMPTS_IN_ALL:
             return None
         self._attempts += 1
+        return offset_deg + self._step_deg(error_deg, offset_deg, scatter_deg)
+
+    def _has_failed(self, error_deg: float, least_deg: float) -> bool:
+        """Judge the correction that is on trial, where readings tell; return whether it ends."""
+        assert self._tried_deg is not None
+        if abs(error_deg) <= max(HELPED_RATIO * abs(self._tried_deg), 0.5 * least_deg):
+            self._tried_deg, self._misses = None, 0
+        elif abs(error_deg) > least_deg:
+            self._misses += 1
+            if self._misses == ATTEMPTS_MAX:
+                self._attempts = ATTEMPTS_IN_ALL
+                return True
+        return False
+
+    def _step_deg(self, error_deg: float, offset_deg: float, scatter_deg: float) -> float:
+        """Return by how much the correction shall change: the error, or once all of the play."""
         changed_deg = abs(error_deg - self._last_deg)
-        is_stuck = self._misses == 1 and changed_deg <= UNCHANGED_RATIO * abs(self._last_deg)
+        same_deg = UNCHANGED_SIGMAS * math.sqrt(2.0) * scatter_deg
+        same_deg = max(UNCHANGED_RATIO * abs(self._last_deg), same_deg)
+        is_stuck = self._misses > 0 and not self._is_jumped and changed_deg <= same_deg
         self._last_deg = error_deg
         if self._tried_deg is None:
-            self._tried_deg, self._before_deg = error_deg, offset_deg
-        if not is_stuck:
-            return offset_deg + error_deg
+            self._tried_deg, self._before_deg, self._is_jumped = error_deg, offset_deg, False
+        if not is_stuck or abs(error_deg) <= JUMP_LEAST_DEG:
+            return error_deg
+        self._is_jumped = True
         bare_deg = abs(self._tried_deg + self._before_deg)
-        play_deg = max(min(2.0 * bare_deg, PLAY_MAX_DEG), 2.0 * abs(error_deg))
-        return offset_deg + math.copysign(play_deg, error_deg)
+        taken_up_deg = abs(offset_deg - self._before_deg - self._tried_deg)
+        play_deg = min(2.0 * bare_deg, PLAY_MAX_DEG) - taken_up_deg
+        return math.copysign(max(play_deg, PLAY_LEAST_RATIO * abs(error_deg)), error_deg)

@@ -338,6 +338,31 @@ def test_play_of_which_a_move_corrected_too_much_needs_no_more():
     assert rest.read(60).sent == [-0.75, 0.75]
 
 
+def test_readings_that_scatter_tell_that_play_took_a_correction_up():
+    """No two rests of readings have the same mean; a tenth of a small error is less than that."""
+    random = np.random.default_rng(2)
+
+    def shaft(offset_deg):
+        return max(-0.38, offset_deg - 0.9)
+
+    for _ in range(20):
+        rest = Rest(None, noise_deg=0.06)
+        rest.horn_deg = lambda offset_deg: shaft(offset_deg) + random.normal(0.0, 0.06)
+        rest.offset_deg = -1.05
+        rest.read(40)
+        assert abs(shaft(rest.offset_deg)) < 0.2
+        assert len(rest.sent) <= 4
+
+
+def test_a_small_error_takes_no_play_up_at_once():
+    """A load makes the rest without corrections look like much play."""
+    rest = Rest(lambda offset_deg: -0.2)
+    rest.offset_deg = 2.5
+    rest.read(200)
+    assert max(rest.sent) < 2.5 + ATTEMPTS_MAX * 0.25
+    assert rest.offset_deg == 2.5
+
+
 def test_more_play_than_gears_have_is_not_taken_up_at_once():
     rest = Rest(lambda offset_deg: -0.3)
     rest.offset_deg = -3.0
