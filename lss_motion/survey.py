@@ -11,11 +11,10 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections import Counter
     from collections.abc import Callable, Iterable, Mapping
 
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import ServoCondition, ServoIdentity
+    from lss_motion.maintenance.discovery import ServoCondition, ServoIdentity, Unasked
     from lss_motion.robot.model import Bus
 
 
@@ -24,13 +23,14 @@ def survey(
     bus: Bus,
     baud_bps: int | None,
     progress: Callable[[str], None] = lambda _: None,
+    unasked: Unasked | None = None,
 ) -> list[ServoCondition]:
     """Return the servos of a bus, at `baud_bps` or at every rate with a reply.
 
-    `progress` is called with the text of each step. Leaves the port at the rate with the most
-    replies.
+    `progress` is called with the text of each step. `unasked` gets what no query here can have
+    caused. Leaves the port at the rate with the most replies.
     """
-    from lss_motion.maintenance.discovery import RATES_BPS, Listening, presence_steps
+    from lss_motion.maintenance.discovery import RATES_BPS, Listening, Unasked, presence_steps
 
     rates_bps = list(dict.fromkeys((bus.baud_bps, *RATES_BPS))) if baud_bps is None else [baud_bps]
     used_bps = []
@@ -40,12 +40,13 @@ def survey(
         if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).received):
             used_bps.append(rate_bps)
     looks: list[ServoCondition] = []
+    unasked = Unasked() if unasked is None else unasked
     for rate_bps in (
         used_bps or rates_bps[:1]
     ):  # A lone 2IO with other ids replies to its own ids only.
         progress(f"{bus.port}: {rate_bps} bps, all ids")
         connection.set_baud(bus.name, rate_bps)
-        looks += _look(connection, bus.name, rate_bps)
+        looks += _look(connection, bus.name, rate_bps, unasked)
     counts = [look.baud_bps for look in looks]
     if counts:
         connection.set_baud(bus.name, max(counts, key=counts.count))
@@ -54,17 +55,21 @@ def survey(
 
 
 def roll_call(
-    connection: Connection, bus_name: str, unasked: Counter[int] | None = None
+    connection: Connection, bus_name: str, unasked: Unasked | None = None
 ) -> list[ServoIdentity]:
     """Return the servos that reply on a bus at its present rate.
 
-    `unasked` gets the count of the replies, by id, that no query here can have caused.
+    `unasked` gets what no query here can have caused; for that the bus is observed in silence
+    first.
     """
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
     from lss_motion.protocol.constants import ID_MAX
 
     baud_bps = connection.buses[bus_name].baud_bps
+    if unasked is not None:
+        silence = Listening(bus_name, discovery.silent_steps())
+        unasked.take_silence(connection.run(silence).received)
     models: dict[int, str] = {}
     doubtful: set[int] = set()
     for _ in range(discovery.ROLL_CALLS):
@@ -73,18 +78,26 @@ def roll_call(
             Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
         ).received
         if unasked is not None:
-            unasked += discovery.unasked(received, is_silent=False)
+            unasked.replies += discovery.unasked(received, is_silent=False)
         answered, again = discovery.read_roll_call(baud_bps, left, received)
         models |= answered
         doubtful |= again
     found = {servo_id: models.get(servo_id, "") for servo_id in sorted(models.keys() | doubtful)}
-    return query_each(connection, bus_name, found)
+    is_disturbed = unasked is not None and unasked.unreadable_bytes > 0
+    return query_each(connection, bus_name, found, is_disturbed=is_disturbed)
 
 
 def query_each(
-    connection: Connection, bus_name: str, models: Mapping[int, str]
+    connection: Connection,
+    bus_name: str,
+    models: Mapping[int, str],
+    *,
+    is_disturbed: bool = False,
 ) -> list[ServoIdentity]:
-    """Return the servos that reply at these ids. `models` may be empty texts."""
+    """Return the servos that reply at these ids. `models` may be empty texts.
+
+    With `is_disturbed` unreadable bytes also come without a query.
+    """
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
     from lss_motion.protocol.constants import Family
@@ -100,30 +113,30 @@ def query_each(
             replies[servo_id].append(data)
 
     query(models, "QMS", discovery.ASKED_ALONE)
-    judged = {
-        servo_id: discovery.judge_answers(servo_id, models[servo_id], replies[servo_id])
-        for servo_id in models
-    }
+
+    def judge(servo_id: int) -> ServoIdentity | None:
+        model, received = models[servo_id], replies[servo_id]
+        return discovery.judge_answers(servo_id, model, received, is_disturbed=is_disturbed)
+
+    judged = {servo_id: judge(servo_id) for servo_id in models}
     numbered = [n for n, present in judged.items() if present and present.family is not Family.IO2]
     query(numbered, "QN", discovery.ASKED_ALONE)
     doubtful = [n for n in models if discovery.is_doubtful(n, replies[n])]
     query([n for n in doubtful if n in numbered], "QN", discovery.ASKED_AGAIN)
     query([n for n in doubtful if n not in numbered], "QMS", discovery.ASKED_AGAIN)
-    final = (discovery.judge_answers(n, models[n], replies[n]) for n in models)
-    return [present for present in final if present is not None]
+    return [present for present in map(judge, models) if present is not None]
 
 
-def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCondition]:
+def _look(
+    connection: Connection, bus_name: str, baud_bps: int, unasked: Unasked
+) -> list[ServoCondition]:
     from lss_motion.maintenance import discovery
-    from lss_motion.maintenance.discovery import Listening
 
-    silent = connection.run(Listening(bus_name, discovery.silent_steps())).received
-    unasked = discovery.unasked(silent, is_silent=True)
     found = roll_call(connection, bus_name, unasked)
     items = [item for p in found if not p.is_shared for item in discovery.questions(bus_name, p)]
     answers = connection.ask(items)
     looks = [discovery.read_condition(bus_name, baud_bps, present, answers) for present in found]
-    looks = [dataclasses.replace(seen, unasked=unasked[seen.servo_id]) for seen in looks]
+    looks = [dataclasses.replace(seen, unasked=unasked.replies[seen.servo_id]) for seen in looks]
     causes = connection.ask(discovery.cause_questions(looks))
     return [
         dataclasses.replace(seen, cause=discovery.read_cause(seen, causes))

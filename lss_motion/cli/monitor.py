@@ -153,6 +153,7 @@ def _run(
 
 def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
     """Return all joints of the robot, or without one the servos that reply."""
+    from lss_motion.maintenance.discovery import Unasked
     from lss_motion.maintenance.settings import Target
     from lss_motion.survey import roll_call
 
@@ -169,7 +170,9 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
             )
             for joint in robot.joints.values()
         ]
-    found = [present for present in roll_call(connection, "main") if not present.is_shared]
+    found = [
+        present for present in roll_call(connection, "main", Unasked()) if not present.is_shared
+    ]
     if not found:
         bus = connection.buses["main"]
         raise BusError(
@@ -262,7 +265,7 @@ class Screen:
 
     def update(self, now_ns: int, started_ns: int) -> None:
         """Print new alarms; draw the table or print lines, if they are due."""
-        for text in self._alarms.update(self._watch.readings):
+        for text in self._alarms.update(self._watch.readings, self._watch.unreadable):
             if not self._is_quiet:
                 print("\a", end="", file=sys.stderr, flush=True)
             if not self._is_live:

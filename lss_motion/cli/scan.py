@@ -75,6 +75,8 @@ def _scan(arguments: argparse.Namespace) -> int:
 def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     """Scan and print; append the result of each bus to `found`."""
     from lss_motion.connection import connect
+    from lss_motion.maintenance.discovery import Unasked
+    from lss_motion.maintenance.findings import unreadable_text
 
     require_baud("--baud", arguments.baud)
     require_outputs(
@@ -95,9 +97,11 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
         if connection.simulated:
             print(SIMULATED_NOTE)
         for bus in buses.values():
-            looks = survey(connection, bus, arguments.baud, _progress)
+            unasked = Unasked()
+            looks = survey(connection, bus, arguments.baud, _progress, unasked)
+            others = [unreadable_text(bus.port)] if unasked.unreadable_bytes else []
             frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
-            problems, notes = _print_findings(bus, robot, looks, frames)
+            problems, notes = _print_findings(bus, robot, looks, frames, others)
             found.append(_as_json(bus, looks, problems, notes))
             is_good = is_good and not problems
             if arguments.output is not None:
@@ -179,11 +183,15 @@ def _frame_problems(
 
 
 def _print_findings(
-    bus: Bus, robot: Robot | None, looks: Sequence[ServoCondition], frames: Sequence[str]
+    bus: Bus,
+    robot: Robot | None,
+    looks: Sequence[ServoCondition],
+    frames: Sequence[str],
+    others: Sequence[str],
 ) -> tuple[list[str], list[str]]:
     """Print the servos of a bus; return the problems and the notes about them.
 
-    `frames` are the problems with gyres, origins and ranges.
+    `frames` are the problems with gyres, origins and ranges, `others` notes about the whole bus.
     """
     from lss_motion.maintenance import findings
 
@@ -191,7 +199,7 @@ def _print_findings(
     if robot is not None:
         names = {j.servo_id: j.name for j in robot.joints.values() if j.bus == bus.name}
     problems = list(findings.unreachable(bus, looks))
-    notes = list(findings.warnings(looks, f"--port {bus.port}"))
+    notes = [*others, *findings.warnings(looks, f"--port {bus.port}")]
     if robot is not None:
         problems += [*findings.differences(robot, bus, looks), *frames]
         notes += findings.unnamed(robot, bus, looks)

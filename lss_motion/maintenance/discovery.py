@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
@@ -59,6 +59,8 @@ UNASKED_NS: Final = 400 * NS_PER_MS
 
 _CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN|Q[A-Z]*)([!-)+-~]*)\r")
 _ASKED_HERE: Final = ("QMS", "QN")
+_CUT_OFF: Final = re.compile(rb"\A[0-9A-Z-]*\r|\*[0-9]*[!-)+-~]*\Z")
+"""A reply that began before the bus was observed, or ends after it."""
 
 HOT_C: Final = 65.0
 """A warning is due from here on; at 85 °C a servo goes limp (FACTS.md S7). Chosen: time to act."""
@@ -164,13 +166,21 @@ def is_damaged(servo_id: int, data: bytes) -> bool:
     return bool(data) and (len(_values(servo_id, data)) != 1 or _CLEAN.sub(b"", data) != b"")
 
 
-def judge_answers(servo_id: int, model: str, received: Sequence[bytes]) -> ServoIdentity | None:
+def judge_answers(
+    servo_id: int, model: str, received: Sequence[bytes], *, is_disturbed: bool = False
+) -> ServoIdentity | None:
     """Return the device that answered to an id that was queried alone; None without an answer.
 
     The id is shared by several devices if three quarters of the answers were damaged or doubled,
     or if two serial numbers came more than once each. Devices answer every time: damaged bytes
-    after half of the queries or fewer belong to what another host asked.
+    after half of the queries or fewer belong to what another host asked. With `is_disturbed`
+    unreadable bytes also come without a query (`Unasked`): then only what is readable counts.
     """
+    if is_disturbed:
+        received = [
+            b"".join(match[0] for match in _CLEAN.finditer(data) if int(match[1]) == servo_id)
+            for data in received
+        ]
     answers = [data for data in received if data]
     clean = [data for data in answers if not is_damaged(servo_id, data)]
     if not clean and 2 * len(answers) <= len(received):
@@ -233,6 +243,23 @@ def unasked(received: Iterable[bytes], *, is_silent: bool) -> Counter[int]:
         for match in _CLEAN.finditer(b"".join(received))
         if is_silent or match[2].decode() not in (*_ASKED_HERE, "QID")
     )
+
+
+@dataclass(slots=True)
+class Unasked:
+    """What arrived on a bus and no query of this program can have caused."""
+
+    replies: Counter[int] = field(default_factory=Counter)
+    """Whole replies by id."""
+    unreadable_bytes: int = 0
+    """Bytes of no readable reply that came while nothing was asked: replies of several servos to
+    one query of another host damage each other."""
+
+    def take_silence(self, received: Iterable[bytes]) -> None:
+        """Use what came while nothing was asked (`silent_steps`)."""
+        data = b"".join(received)
+        self.replies += unasked([data], is_silent=True)
+        self.unreadable_bytes += len(_CLEAN.sub(b"", _CUT_OFF.sub(b"", data)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

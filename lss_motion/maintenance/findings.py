@@ -137,6 +137,19 @@ def unasked_text(who: str, count: int) -> str:
     )
 
 
+def unreadable_text(where: str) -> str:
+    """Return the text for a bus on which unreadable bytes come that this program did not ask for.
+
+    Only ids with a readable reply can be trusted then.
+    """
+    return (
+        f"{where}: unreadable bytes come that this program did not ask for: another program or "
+        f"computer asks several servos at once on this bus, and their replies damage each other, "
+        f"or the cable is disturbed. Stop the other one, or take its cable off; until then replies "
+        f"are lost here, too"
+    )
+
+
 def unnamed(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Iterator[str]:
     """Yield the servos that answer and are not in the robot file."""
     joints = {joint.servo_id for joint in robot.joints.values() if joint.bus == bus.name}

@@ -18,7 +18,7 @@ from lss_motion.maintenance.discovery import (
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
-from lss_motion.maintenance.findings import unasked_text
+from lss_motion.maintenance.findings import unasked_text, unreadable_text
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
@@ -122,6 +122,12 @@ class _BusRounds:
     """The replies of this round by servo id."""
     suspended: dict[int, int] = field(default_factory=dict)
     """Servo id → end of the time in which it is not polled."""
+    asked: int = 0
+    """Number of queries of this round."""
+    seen_garbage: int = 0
+    """Unreadable pieces that came before this round."""
+    surplus: deque[int] = field(default_factory=lambda: deque(maxlen=UNASKED_ROUNDS))
+    """For each round: unreadable pieces less the queries without an answer, which may be these."""
 
     def begin(self, now_ns: int) -> None:
         """Begin the next round."""
@@ -135,6 +141,7 @@ class _BusRounds:
             if self.suspended.get(servo_id, 0) <= now_ns
             for keyword in _keywords(servo, self.rounds)
         ]
+        self.asked = len(items)
         self.dialogue = Dialogue(items, {self.name: self.line}, {self.name: self.tracker})
 
     def end(self, now_ns: int) -> list[ServoState]:
@@ -142,6 +149,9 @@ class _BusRounds:
         if not self.rounds:
             return []
         fresh = []
+        unanswered = self.asked - len(self.dialogue.answers)
+        self.surplus.append(self.line.garbage - self.seen_garbage - unanswered)
+        self.seen_garbage = self.line.garbage
         for servo in self.servos:
             servo_id = servo.target.servo_id
             if self.suspended.get(servo_id, 0) > self.began_ns:
@@ -185,6 +195,11 @@ class Watch:
     def rounds(self) -> dict[str, int]:
         """Return how many rounds each bus has completed."""
         return {name: max(bus.rounds - 1, 0) for name, bus in self._buses.items()}
+
+    @property
+    def unreadable(self) -> list[str]:
+        """Return the buses with unreadable bytes that no query here can have caused."""
+        return [name for name, bus in self._buses.items() if sum(bus.surplus) > UNASKED_MAX]
 
     @property
     def has_asked_all(self) -> bool:
@@ -300,13 +315,17 @@ class Alarms:
         self.active: dict[tuple[str, str], str] = {}
         """Servo and kind → the newest text."""
 
-    def update(self, readings: Iterable[ServoState]) -> list[str]:
-        """Return the texts of the alarms that have begun since the last call."""
+    def update(self, readings: Iterable[ServoState], unreadable: Iterable[str] = ()) -> list[str]:
+        """Return the texts of the alarms that have begun since the last call.
+
+        `unreadable` are the buses of `Watch.unreadable`.
+        """
         now = {
             (servo.target.name, kind): text
             for servo in readings
             for kind, text in self._thresholds.alarms(servo)
         }
+        now |= {(bus, "unreadable"): unreadable_text(bus) for bus in unreadable}
         fresh = [text for key, text in now.items() if key not in self.active]
         self.active = now
         return fresh

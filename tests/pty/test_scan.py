@@ -54,6 +54,15 @@ joints: {pan: {id: 1}, tilt: {id: 2}}
     assert "joint 'tilt': servo 2 does not answer" in out
 
 
+def test_another_host_that_asks_all_servos_at_once_is_noted(on_terminal, servo, lss_motion):
+    master = Fault(kind=FaultKind.SECOND_MASTER, text="#254QD", every_s=0.1)
+    with on_terminal(servo(1), servo(2), servo(5), faults=[master]):
+        code, out, errors = lss_motion("scan", "port", "--baud", 115200)
+    assert (code, errors) == (EXIT_FINISHED, "")
+    assert "3 ids reply" in out
+    assert "note: port: unreadable bytes come that this program did not ask for" in out
+
+
 def test_an_empty_bus_is_told_with_what_to_check(on_terminal, lss_motion):
     with on_terminal():
         code, out, _ = lss_motion("scan", "port", "--baud", 115200)

@@ -7,7 +7,12 @@ import dataclasses
 import pytest
 
 from lss_motion.maintenance import findings
-from lss_motion.maintenance.discovery import is_doubtful, judge_answers, read_roll_call
+from lss_motion.maintenance.discovery import (
+    Unasked,
+    is_doubtful,
+    judge_answers,
+    read_roll_call,
+)
 from lss_motion.maintenance.findings import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
@@ -121,6 +126,28 @@ def test_another_host_is_noticed_by_the_replies_that_it_causes(connected, spec, 
     (text,) = findings.warnings(list(looks.values()), "--port P")
     assert "servo 5 sent" in text
     assert "another program or computer asks on this bus, or the servo sends by itself" in text
+
+
+@pytest.mark.parametrize("line", ["#254QD", "#254QMS", "#254QV"])
+@pytest.mark.parametrize("seed", range(3))
+def test_another_host_that_asks_all_servos_at_once_is_noticed(connected, spec, line, seed):
+    """Its replies damage each other; the servos are found all the same, and no others."""
+    master = Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.1)
+    connection = connected(*map(spec, (5, 6, 9)), faults=[master], seed=seed)
+    unasked = Unasked()
+    looks = survey(connection, connection.buses["main"], 115200, unasked=unasked)
+    assert unasked.unreadable_bytes > 0
+    assert [look.servo_id for look in looks] == [5, 6, 9]
+    assert not any(look.identity.is_shared for look in looks)
+
+
+@pytest.mark.parametrize("line", ["", "#5QD"])
+def test_readable_replies_are_no_unreadable_bytes(connected, spec, line):
+    masters = [Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.05)] if line else []
+    connection = connected(*map(spec, (5, 6, 9)), faults=masters)
+    unasked = Unasked()
+    survey(connection, connection.buses["main"], 115200, unasked=unasked)
+    assert (unasked.unreadable_bytes, unasked.replies[5] > 0) == (0, bool(line))
 
 
 def test_a_quiet_bus_has_no_reply_that_nothing_asked_for(connected, spec):

@@ -237,6 +237,50 @@ def test_another_host_is_an_alarm_and_a_late_reply_is_not(connected, spec, line,
     assert "another program or computer asks on this bus" in text
 
 
+@pytest.fixture
+def alarms_of(connected, spec):
+    """Watch three servos for two seconds; return the alarms of each half second together."""
+
+    def texts(*faults):
+        connection = connected(*map(spec, (1, 2, 3)), faults=list(faults), seed=5)
+        watch, alarms = (
+            Watch([target(1), target(2), target(3)], connection.buses),
+            Alarms(Thresholds()),
+        )
+        began_ns, found = connection.clock.now_ns(), []
+
+        def on_turn(watch, now_ns):
+            found.extend(alarms.update(watch.readings, watch.unreadable))
+            if now_ns >= began_ns + 2_000_000_000:
+                watch.stop()
+
+        run(watch, connection.ports, connection.clock, on_turn=on_turn)
+        return found
+
+    return texts
+
+
+@pytest.mark.parametrize("line", ["#254QD", "#254QMS"])
+def test_another_host_that_asks_all_servos_at_once_is_an_alarm(alarms_of, line):
+    """Their replies damage each other, so that no servo is named by them."""
+    texts = alarms_of(Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.05))
+    assert any("main: unreadable bytes come" in text for text in texts)
+    assert any("asks several servos at once on this bus" in text for text in texts)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.1),
+        Fault(kind=FaultKind.LOST_REPLY, ratio=0.1),
+        Fault(kind=FaultKind.DEAF, servo_id=2, at_s=1.0),
+    ],
+    ids=lambda fault: fault.kind.value,
+)
+def test_damaged_and_lost_replies_are_no_other_host(alarms_of, fault):
+    assert not any("unreadable bytes" in text for text in alarms_of(fault))
+
+
 @pytest.mark.parametrize("firmware", [779, 780])
 def test_a_status_is_interpreted_by_the_firmware_of_the_servo(
     connected, spec, tmp_path, monkeypatch, capsys, firmware
