@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
+    from lss_motion.sim.deviation import Deviation
     from lss_motion.trajectory.model import Trajectory
 
 LOOPS_NS: Final = FILTER_NS
@@ -62,26 +63,43 @@ class Beginning:
         player.run_from(s_from_ns(now_ns - self.origin_ns), now_ns)
 
 
+def play_in_phase(
+    program: Program,
+    robot: Robot,
+    trajectory: Trajectory,
+    *,
+    has_feedback: bool,
+    seed: int = 0,
+    deviation: Deviation | None = None,
+    other_ns: int | None = None,
+) -> tuple[Result, int]:
+    """Play a show in virtual time; return the result and the instant of show time 0.
+
+    With `other_ns`, that instant of another run, it begins at the phase of that one.
+    """
+    beginning = Beginning(other_ns)
+    result = perform(
+        program,
+        robot,
+        is_virtual=True,
+        seed=seed,
+        has_feedback=has_feedback,
+        trajectory=trajectory,
+        deviation=deviation,
+        observer=Observer(controls=beginning),
+    )
+    assert beginning.origin_ns is not None, "the show was not played"
+    return result, beginning.origin_ns
+
+
 def with_and_without_feedback(
     program: Program, robot: Robot, trajectory: Trajectory, *, seed: int = 0
 ) -> tuple[Result, Result]:
     """Play a show with feedback, then without from the same phase; both in virtual time."""
-    results: list[Result] = []
-    begun_ns = None
-    for has_feedback in (True, False):
-        beginning = Beginning(begun_ns)
-        result = perform(
-            program,
-            robot,
-            is_virtual=True,
-            has_feedback=has_feedback,
-            trajectory=trajectory,
-            observer=Observer(controls=beginning),
-            seed=seed,
-        )
-        results.append(result)
-        begun_ns = beginning.origin_ns
-    return results[0], results[1]
+    show = program, robot, trajectory
+    ours, begun_ns = play_in_phase(*show, has_feedback=True, seed=seed)
+    other, _ = play_in_phase(*show, has_feedback=False, seed=seed, other_ns=begun_ns)
+    return ours, other
 
 
 def horn_rms_deg(result: Result, trajectory: Trajectory) -> float:
@@ -91,3 +109,31 @@ def horn_rms_deg(result: Result, trajectory: Trajectory) -> float:
     columns = [trajectory.joints.index(name) for name in truth.joints]
     error_deg = truth.horn_deg - trajectory.sample(truth.times_s)[:, columns]
     return float(np.sqrt(np.mean(error_deg**2)))
+
+
+def limit_ratios(
+    robot: Robot, trajectory: Trajectory, result: Result, begin_ns: int
+) -> tuple[float, float]:
+    """Return the largest speed and acceleration of a horn, over its limits; by differences.
+
+    `begin_ns` is the instant of show time 0; the robot has one bus.
+    """
+    bus = next(iter(result.simulated.values()))
+    end_ns = begin_ns + ns_from_s(trajectory.duration_s)
+    horn_deg = bus.horn_deg(range(begin_ns, end_ns, 5_000_000))
+    smooth = (horn_deg[8:] - horn_deg[:-8]) / 0.04
+    accel = (smooth[8:] - smooth[:-8]) / 0.04
+    joints = list(robot.joints.values())
+    speeds = np.abs(smooth).max(axis=0) / [joint.speed_max_deg_s for joint in joints]
+    accels = np.abs(accel).max(axis=0) / [joint.accel_max_deg_s2 for joint in joints]
+    return float(speeds.max()), float(accels.max())
+
+
+def named_joints(robot: Robot, result: Result) -> frozenset[str]:
+    """Return the joints whose response model a warning names as wrong."""
+    return frozenset(
+        name
+        for name in robot.joints
+        for text in result.report.warnings
+        if f"lss-motion identify {name} " in text
+    )

@@ -4,8 +4,8 @@ tools/run tools/benches/random_robots.py                 100 seeds
 tools/run tools/benches/random_robots.py --from 40 --seeds 1
 
 Show, robot and deviation come from the seed. Each show is played with feedback and without, from
-the same phase of the control loops (`in_phase`), and judged at the horns alone: nothing here shares
-code with the estimators or with the bench `robust`, whose table knows its shows by name.
+the same phase of the control loops (`in_phase`), and judged at the horns alone: no judgement is
+shared with the estimators or with the bench `robust`, whose table knows its shows by name.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 
 import numpy as np  # noqa: E402
 
-from benches.in_phase import Beginning  # noqa: E402
+from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import robot_of  # noqa: E402
 from lss_motion import api  # noqa: E402
 from lss_motion.errors import InputError  # noqa: E402
-from lss_motion.perform import Observer, perform  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
 from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
@@ -71,7 +70,7 @@ class Run:
     error_deg: FloatArray
     speed_ratio: float
     accel_ratio: float
-    named: tuple[str, ...]
+    named: frozenset[str]
 
 
 def deviation_of(random: Random) -> str:
@@ -186,46 +185,26 @@ def runs(case: Case) -> Iterator[tuple[Run, Run]]:
     """Yield pairs of runs, with feedback and without."""
     program = api.compile(case.trajectory, case.robot)
     for seed in range(SEEDS_LOST if "lost=" in case.text else 1):
-        pair, other_ns = [], None
+        pair: list[Run] = []
+        other_ns = None
         for has_feedback in (True, False):
-            beginning = Beginning(other_ns)
-            result = perform(
+            result, other_ns = play_in_phase(
                 program,
                 case.robot,
-                is_virtual=True,
-                seed=case.seed + seed,
+                case.trajectory,
                 has_feedback=has_feedback,
-                trajectory=case.trajectory,
+                seed=case.seed + seed,
                 deviation=deviation_from_text(case.text),
-                observer=Observer(controls=beginning),
+                other_ns=other_ns,
             )
-            truth, bus = result.truth, next(iter(result.simulated.values()))
+            truth = result.truth
             assert truth is not None, "the show was not played"
-            assert beginning.origin_ns is not None
-            other_ns = beginning.origin_ns
-            end_ns = other_ns + round(1e9 * case.trajectory.duration_s)
-            fine_deg = bus.horn_deg(range(other_ns, end_ns, 5_000_000))
-            speed = (fine_deg[8:] - fine_deg[:-8]) / 0.04
-            accel = (speed[8:] - speed[:-8]) / 0.04
-            joint = next(iter(case.robot.joints.values()))
             plan_deg = case.trajectory.sample(truth.times_s)
             columns = [case.trajectory.joints.index(name) for name in truth.joints]
-            named = tuple(
-                name
-                for name in case.robot.joints
-                for warning in result.report.warnings
-                if f"identify {name} " in warning
-            )
-            pair.append(
-                Run(
-                    result.report.outcome,
-                    truth.horn_deg,
-                    truth.horn_deg - plan_deg[:, columns],
-                    float(np.abs(speed).max()) / joint.speed_max_deg_s,
-                    float(np.abs(accel).max()) / joint.accel_max_deg_s2,
-                    named,
-                )
-            )
+            ratios = limit_ratios(case.robot, case.trajectory, result, other_ns)
+            error_deg = truth.horn_deg - plan_deg[:, columns]
+            named = named_joints(case.robot, result)
+            pair.append(Run(result.report.outcome, truth.horn_deg, error_deg, *ratios, named))
         yield pair[0], pair[1]
 
 

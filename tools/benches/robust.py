@@ -21,11 +21,10 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 
 import numpy as np  # noqa: E402
 
-from benches.in_phase import Beginning  # noqa: E402
+from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import lively_show, robot_of  # noqa: E402
 from benches.table import Row  # noqa: E402
 from lss_motion import api  # noqa: E402
-from lss_motion.perform import Observer, perform  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
 from lss_motion.robustness import (  # noqa: E402
     AFTER_PUSH_S,
@@ -40,7 +39,7 @@ from lss_motion.robustness import (  # noqa: E402
 from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
 from lss_motion.truth import TRUTH_STEP_S  # noqa: E402
-from lss_motion.units import NS_PER_S, ns_from_s  # noqa: E402
+from lss_motion.units import NS_PER_S  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -227,19 +226,15 @@ def _perform(
     case: Case, text: str, other_ns: int | None, *, has_feedback: bool, seed: int
 ) -> tuple[Result, int]:
     """Return the result, and the instant of show time 0."""
-    beginning = Beginning(other_ns)
-    result = perform(
+    return play_in_phase(
         case.program,
         case.robot,
-        is_virtual=True,
-        seed=seed,
+        case.trajectory,
         has_feedback=has_feedback,
-        trajectory=case.trajectory,
+        seed=seed,
         deviation=deviation_from_text(text),
-        observer=Observer(controls=beginning),
+        other_ns=other_ns,
     )
-    assert beginning.origin_ns is not None, "the show was not played"
-    return result, beginning.origin_ns
 
 
 def _rests(case: Case) -> list[tuple[float, float]]:
@@ -267,7 +262,7 @@ def _judged(case: Case, text: str, result: Result, begun_ns: int) -> Outcome:
                 late_deg = np.abs(error_deg[chosen][0]) - np.abs(error_deg[chosen][-1])
                 is_late |= bool(late_deg.max() > LATE_DEG)
                 swings = max(swings, *map(_swings, truth.horn_deg[chosen].T))
-    speed_ratio, accel_ratio = _limit_ratios(case, result, begun_ns)
+    speed_ratio, accel_ratio = limit_ratios(case.robot, case.trajectory, result, begun_ns)
     is_model_right = has_right_model(text)
     return Outcome(
         rms_deg=float(np.sqrt(np.mean(error_deg**2))),
@@ -279,12 +274,7 @@ def _judged(case: Case, text: str, result: Result, begun_ns: int) -> Outcome:
         accel_ratio=accel_ratio,
         outcome=result.report.outcome,
         origin_ns=begun_ns,
-        findings=frozenset(
-            name
-            for name in case.robot.joints
-            for text in result.report.warnings
-            if f"lss-motion identify {name} " in text
-        ),
+        findings=named_joints(case.robot, result),
         observable=frozenset() if is_model_right else _strayed(case, truth),
         is_model_right=is_model_right,
     )
@@ -376,19 +366,6 @@ def _swings(horn_deg: FloatArray) -> int:
         low = angle if way > 0 and angle > high - SWING_DEG else low
         high = angle if way < 0 and angle < low + SWING_DEG else high
     return turns
-
-
-def _limit_ratios(case: Case, result: Result, begin_ns: int) -> tuple[float, float]:
-    """Return the largest speed and acceleration of a horn, over its limits; by differences."""
-    bus = next(iter(result.simulated.values()))
-    end_ns = begin_ns + ns_from_s(case.trajectory.duration_s)
-    horn_deg = bus.horn_deg(range(begin_ns, end_ns, 5_000_000))
-    smooth = (horn_deg[8:] - horn_deg[:-8]) / 0.04
-    accel = (smooth[8:] - smooth[:-8]) / 0.04
-    joints = list(case.robot.joints.values())
-    speeds = np.abs(smooth).max(axis=0) / [joint.speed_max_deg_s for joint in joints]
-    accels = np.abs(accel).max(axis=0) / [joint.accel_max_deg_s2 for joint in joints]
-    return float(speeds.max()), float(accels.max())
 
 
 def problems(ours: Outcome, other: Outcome) -> list[str]:
