@@ -69,7 +69,7 @@ def roll_call(
     baud_bps = connection.buses[bus_name].baud_bps
     if unasked is not None:
         silence = Listening(bus_name, discovery.silent_steps())
-        unasked.take_silence(connection.run(silence).received)
+        unasked.take(connection.run(silence).received, is_silent=True)
     models: dict[int, str] = {}
     doubtful: set[int] = set()
     for _ in range(discovery.ROLL_CALLS):
@@ -78,7 +78,7 @@ def roll_call(
             Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
         ).received
         if unasked is not None:
-            unasked.replies += discovery.unasked(received, is_silent=False)
+            unasked.take(received, is_silent=False)
         answered, again = discovery.read_roll_call(baud_bps, left, received)
         models |= answered
         doubtful |= again

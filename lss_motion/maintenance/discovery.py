@@ -232,19 +232,6 @@ def silent_steps() -> list[Step]:
     return [Step(b"", UNASKED_NS)]
 
 
-def unasked(received: Iterable[bytes], *, is_silent: bool) -> Counter[int]:
-    """Return how many whole replies came from each id that no query here can have caused.
-
-    With `is_silent` nothing was asked. The commands of another computer cannot be seen: only the
-    servos receive them.
-    """
-    return Counter(
-        int(match[1])
-        for match in _CLEAN.finditer(b"".join(received))
-        if is_silent or match[2].decode() not in (*_ASKED_HERE, "QID")
-    )
-
-
 @dataclass(slots=True)
 class Unasked:
     """What arrived on a bus and no query of this program can have caused."""
@@ -255,11 +242,19 @@ class Unasked:
     """Bytes of no readable reply that came while nothing was asked: replies of several servos to
     one query of another host damage each other."""
 
-    def take_silence(self, received: Iterable[bytes]) -> None:
-        """Use what came while nothing was asked (`silent_steps`)."""
+    def take(self, received: Iterable[bytes], *, is_silent: bool) -> None:
+        """Use what came during a roll call, or with `is_silent` while nothing was asked.
+
+        The commands of another computer cannot be seen: only the servos receive them.
+        """
         data = b"".join(received)
-        self.replies += unasked([data], is_silent=True)
-        self.unreadable_bytes += len(_CLEAN.sub(b"", _CUT_OFF.sub(b"", data)))
+        self.replies += Counter(
+            int(match[1])
+            for match in _CLEAN.finditer(data)
+            if is_silent or match[2].decode() not in (*_ASKED_HERE, "QID")
+        )
+        if is_silent:
+            self.unreadable_bytes += len(_CLEAN.sub(b"", _CUT_OFF.sub(b"", data)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
