@@ -362,10 +362,11 @@ class Commands:
 def _number(words: Sequence[str], remedy: str) -> float:
     """Return the one finite number that was typed, or raise `InputError` with the remedy."""
     try:
-        number = float(*words)
-    except (ValueError, TypeError):
+        (word,) = words
+        number = float(word)
+    except ValueError:
         raise InputError(remedy) from None
-    if not words or not math.isfinite(number):
+    if not math.isfinite(number):
         raise InputError(remedy)
     return number
 
