@@ -316,9 +316,11 @@ def hold_text(mark: Mark) -> str:
 
 
 def mark_name(mark: Mark) -> str:
-    """Return label and authored time of a keyframe."""
-    at = f"at {mark.authored_s:g} s" if mark.authored_s is not None else "without time"
-    return f"{mark.label!r} {at}" if mark.label else at
+    """Return label, authored time and place of a keyframe."""
+    name = f"at {mark.authored_s:g} s" if mark.authored_s is not None else "without time"
+    if mark.label:
+        name = f"{mark.label!r} {name}"
+    return f"{name} ({mark.place})" if mark.place else name
 
 
 def _has_times(trajectory: Trajectory) -> bool:
@@ -451,7 +453,12 @@ def show_as_json(show: Show) -> dict[str, Any]:
         "late_keyframes": []
         if trajectory is None
         else [
-            {"label": mark.label, "at_s": mark.authored_s, "late_s": late_s}
+            {
+                "label": mark.label,
+                "at_s": mark.authored_s,
+                "late_s": late_s,
+                "place": mark.place,
+            }
             for mark, late_s in late_marks(trajectory)
         ],
         "shortened_holds": []
@@ -462,6 +469,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
                 "at_s": mark.authored_s,
                 "hold_s": mark.hold_s,
                 "held_s": mark.held_s,
+                "place": mark.place,
             }
             for mark in shortened_holds(trajectory)
         ],

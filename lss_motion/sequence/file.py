@@ -244,6 +244,7 @@ class StepEntry(FileModel, title="step"):
     idle: FileName | None = Field(
         default=None,
         description="With wait_for: a sequence file that is played again and again while it waits. "
+        "Of a file that loops forever, one pass is repeated. "
         "When the wait is over, it is played to its end, and the show goes on from there.",
         examples=["breathe.yaml"],
     )

@@ -199,13 +199,17 @@ class PartLoader:
         return Step(sequence=sequence, times=entry.times, move_s=entry.move_s)
 
     def _idle(self, entry: StepEntry, name: str, place: Location) -> Sequence | None:
-        """Return the idle motion of a wait."""
+        """Return the idle motion of a wait: one pass of a file that loops forever."""
         sequence = self._file(name, entry, place, is_offset=self.part.is_offset, key="idle")
         if sequence is None:
             return None
+        if sequence.loop is None:
+            sequence = replace(sequence, loop=1)
         reason = ""
         if _is_endless(sequence):
-            reason = "loops forever; give its loop a count: it is repeated while the show waits"
+            reason = (
+                "has tracks that loop forever; give each loop a count: all are repeated together"
+            )
         elif _has_events(sequence):
             reason = "has events, which cannot be repeated while the show waits; leave them out"
         elif _waits(sequence):

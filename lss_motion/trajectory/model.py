@@ -158,6 +158,8 @@ class Mark:
     """All joints of the keyframe keep their time."""
     is_exact: bool = False
     weight: float = 1.0
+    place: str = ""
+    """Name of the file and line of the keyframe, such as `wave.yaml:6`; empty if not known."""
 
     def later(self, by_s: float) -> Mark:
         """Return the mark with both times moved by `by_s`."""

@@ -151,7 +151,7 @@ def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Traje
         return time_kept(track, robot, may_flow=may_flow)
 
     name = cache_name(track, robot, may_flow=may_flow)
-    return cached(name, make, lambda plan: _fits(plan, track, robot), robot)
+    return _placed(cached(name, make, lambda plan: _fits(plan, track, robot), robot), track)
 
 
 def _planned_angles(track: Sequence, robot: Robot) -> Trajectory:
@@ -173,7 +173,19 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
 
         return smooth_track(track, robot)
 
-    return cached(cache_name(track, robot), make, lambda plan: _fits(plan, track, robot), robot)
+    name = cache_name(track, robot)
+    return _placed(cached(name, make, lambda plan: _fits(plan, track, robot), robot), track)
+
+
+def _placed(trajectory: Trajectory, track: Sequence) -> Trajectory:
+    """Return the plan with the lines of its keyframes, which a stored plan does not know."""
+    if track.path is None:
+        return trajectory
+    marks = tuple(
+        replace(mark, place="" if frame.line is None else f"{track.path.name}:{frame.line}")
+        for mark, frame in zip(trajectory.marks, track.keyframes, strict=True)
+    )
+    return replace(trajectory, marks=marks)
 
 
 def _check_length(track: Sequence) -> None:

@@ -10,9 +10,11 @@ import pytest
 
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.model import Bus, Robot
+from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
 from lss_motion.shows import Show
 from lss_motion.summaries import limit_uses, plan_lines, program_lines, show_as_json
+from lss_motion.trajectory import plan_cache
 from lss_motion.trajectory.planner import plan
 from tests.joints import joint
 
@@ -118,6 +120,23 @@ def test_a_late_layer_is_not_on_time(robot):
     assert "every keyframe is on time" not in lines
     assert any(line.startswith("slower: 1.0") for line in lines)
     assert any(line.startswith("late: keyframe at 1.1 s is 0.") for line in lines)
+
+
+def test_a_late_keyframe_is_named_with_its_file_and_line_from_the_cache_too(
+    robot, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(plan_cache, "PIECES_MIN", 0)
+    head = "sequence: {name}\nkeyframes:\n  - {{at_s: 0, deg: {{base: 0}}}}\n"
+    late = head + "  - {{at_s: 0.1, deg: {{base: 100}}}}\n  - {{at_s: 3, deg: {{base: 0}}}}\n"
+    (tmp_path / "lay.yaml").write_text(late.format(name="lay"))
+    show_file = tmp_path / "show.yaml"
+    layers = "layers: [{{file: lay.yaml, mode: add, from_s: 4}}]\n"
+    for comment, line in (("", 4), ("# one more line\n", 5), ("# one more line\n", 5)):
+        show_file.write_text((comment + late + layers).format(name="show"))
+        lines = plan_lines(plan(load_sequence(show_file, robot), robot), robot)
+        named = [line.split(" is ")[0] for line in lines if line.startswith("late: ")]
+        assert f"late: keyframe at 0.1 s (show.yaml:{line})" in named
+        assert "late: keyframe at 4.1 s (lay.yaml:4)" in named
 
 
 def test_passes_of_a_looped_part_are_not_lateness(robot):

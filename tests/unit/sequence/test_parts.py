@@ -154,6 +154,10 @@ def test_an_added_layer_can_have_angles_beyond_the_range(load, refused, folder):
         ("play: [{file: endless.yaml}]", "endless.yaml loops forever"),
         ("play: [{pause_s: 1}, {file: nod.yaml, join: through}]", "through needs keyframes"),
         ("play: [{file: nod.yaml, idle: nod.yaml}]", "idle belongs to a wait_for"),
+        (
+            "play: [{wait_for: {sensor: eye, below_mm: 3}, idle: tracks.yaml}]",
+            "tracks.yaml has tracks that loop forever; give each loop a count",
+        ),
         ("play: [{file: nod.yaml}, {file: nod.yaml, join: through}]", "20 to 0 deg in no time"),
         ("play: [{wait_for: {sensor: nose, below_mm: 300}}]", "has no sensor 'nose'"),
         ("play: [{wait_for: {sensor: eye}}]", "needs one of 'below_mm' and 'above_mm'"),
@@ -177,9 +181,24 @@ def test_wrong_parts_are_refused_with_the_reason(refused, folder, text, message)
     (folder / "endless.yaml").write_text(
         "sequence: e\nloop: forever\nkeyframes: [{at_s: 0, hold_s: 1, deg: {l: 1}}]\n"
     )
+    (folder / "tracks.yaml").write_text(
+        "sequence: t\n"
+        "tracks: {a: {loop: forever, keyframes: [{at_s: 0, hold_s: 1, deg: {l: 1}}]}}\n"
+    )
     (folder / "bad.yaml").write_text("sequence: b\nkeyframes: [{at_s: 0, deg: {l: 900}}]\n")
     (folder / "quick.yaml").write_text("sequence: q\nkeyframes: [{deg: {l: 0}}, {deg: {l: 1}}]\n")
     assert message in refused(text + "\n")
+
+
+def test_of_an_idle_motion_that_loops_forever_one_pass_is_repeated(load, folder):
+    (folder / "endless.yaml").write_text(
+        "sequence: e\nloop: forever\nkeyframes: [{at_s: 0, deg: {l: 0}}, {at_s: 2, deg: {l: 0}}]\n"
+    )
+    show = load("play: [{wait_for: {sensor: eye, below_mm: 300}, idle: endless.yaml}]\n")
+    (step,) = show.play
+    assert step.wait is not None
+    assert step.sequence is not None
+    assert (step.sequence.name, step.sequence.loop) == ("e", 1)
 
 
 def test_files_that_play_each_other_are_refused(refused, folder):
