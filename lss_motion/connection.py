@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from types import TracebackType
 
+    from lss_motion.maintenance.discovery import Unasked
     from lss_motion.player.events import Event
     from lss_motion.player.handshake import Answers
     from lss_motion.player.transactions import Item
@@ -151,6 +152,8 @@ class Connection:
         self._raising = raising()
         self.ports: dict[str, Port] = {}
         self.simulated: dict[str, SimBus] = {}
+        self.unasked: dict[tuple[str, int], Unasked] = {}
+        """By bus and rate what arrived without a query, where that was observed (`survey`)."""
 
     def __enter__(self) -> Self:
         self._raising = raising()  # One that has been used cannot be entered again.

@@ -118,6 +118,7 @@ def _configure(arguments: argparse.Namespace) -> int:
     with connect(buses, robot=robot) as connection:
         if connection.simulated:
             print("The servos are simulated: they lose what is written when this command ends.")
+        _note_other_hosts(connection)
         if arguments.new_id is not None:
             return _change_id(connection, arguments)
         if arguments.new_baud is not None:
@@ -140,6 +141,16 @@ def _configure(arguments: argparse.Namespace) -> int:
         if robot is not None and not arguments.session:
             _note_limits(connection, targets, robot)
         return code
+
+
+def _note_other_hosts(connection: Connection) -> None:
+    """Print what arrives on the buses without a query of this program."""
+    from lss_motion.maintenance.findings import other_hosts
+    from lss_motion.survey import observed
+
+    for bus in connection.buses.values():
+        for text in other_hosts(bus.port, observed(connection, bus.name)):
+            print(f"note: {text}")
 
 
 def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
@@ -378,6 +389,18 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED
 
 
+def _require_own_ids(servos: Sequence[ServoIdentity], port: str) -> None:
+    """Raise `BusError` if several servos share an id, or may share it."""
+    from lss_motion.maintenance.findings import doubtful_text
+
+    shared = [present.servo_id for present in servos if present.is_shared]
+    if shared:
+        raise BusError(f"several servos share id {shared[0]}; give each its own first (--new-id)")
+    for present in servos:
+        if present.is_doubtful:
+            raise BusError(doubtful_text(present.servo_id), url=port)
+
+
 def _change_baud(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
     """Give all servos of a bus another baud rate; only some of them with `--force`."""
     from lss_motion.cli import servo_settings
@@ -390,9 +413,7 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
     servos = roll_call(connection, bus.name)
     if not servos:
         raise BusError(f"no servo replies on {bus.port} at {bus.baud_bps} bps", url=bus.port)
-    shared = [present.servo_id for present in servos if present.is_shared]
-    if shared:
-        raise BusError(f"several servos share id {shared[0]}; give each its own first (--new-id)")
+    _require_own_ids(servos, bus.port)
     expected = set(arguments.ids or [present.servo_id for present in servos])
     if robot is not None and not arguments.ids:
         expected = {joint.servo_id for joint in robot.joints.values()}
@@ -515,10 +536,10 @@ def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespa
     factory_id = PIN_IDS.get(pin, FACTORY_ID)
     found = query_each(connection, kept.bus, dict.fromkeys((kept.servo_id, factory_id), ""))
     for present in found:
-        if not present.is_shared and _is_same(present, kept):
+        if present.is_single and _is_same(present, kept):
             return present.servo_id
     own = next((present for present in found if present.servo_id == kept.servo_id), None)
-    if own is None or own.is_shared:
+    if own is None or not own.is_single:
         servo_settings.servos_at(
             connection, kept.bus, [kept.servo_id]
         )  # Raises the error that explains it.

@@ -153,7 +153,6 @@ def _run(
 
 def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
     """Return all joints of the robot, or without one the servos that reply."""
-    from lss_motion.maintenance.discovery import Unasked
     from lss_motion.maintenance.settings import Target
     from lss_motion.survey import roll_call
 
@@ -170,9 +169,7 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
             )
             for joint in robot.joints.values()
         ]
-    found = [
-        present for present in roll_call(connection, "main", Unasked()) if not present.is_shared
-    ]
+    found = [present for present in roll_call(connection, "main") if present.is_single]
     if not found:
         bus = connection.buses["main"]
         raise BusError(

@@ -19,7 +19,7 @@ from lss_motion.cli.commands import (
 )
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
-from lss_motion.survey import survey
+from lss_motion.survey import survey, unreadable
 
 if TYPE_CHECKING:
     import argparse
@@ -75,8 +75,6 @@ def _scan(arguments: argparse.Namespace) -> int:
 def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     """Scan and print; append the result of each bus to `found`."""
     from lss_motion.connection import connect
-    from lss_motion.maintenance.discovery import Unasked
-    from lss_motion.maintenance.findings import unreadable_text
 
     require_baud("--baud", arguments.baud)
     require_outputs(
@@ -97,9 +95,8 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
         if connection.simulated:
             print(SIMULATED_NOTE)
         for bus in buses.values():
-            unasked = Unasked()
-            looks = survey(connection, bus, arguments.baud, _progress, unasked)
-            others = [unreadable_text(bus.port)] if unasked.unreadable_bytes else []
+            looks = survey(connection, bus, arguments.baud, _progress)
+            others = unreadable(connection, bus)
             frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
             problems, notes = _print_findings(bus, robot, looks, frames, others)
             found.append(_as_json(bus, looks, problems, notes))
@@ -149,6 +146,7 @@ def _as_json(
                 "baud_bps": look.baud_bps,
                 "model": look.identity.model,
                 "is_shared": look.identity.is_shared,
+                "is_doubtful": look.identity.is_doubtful,
                 "firmware": look.firmware,
                 "position_deg": look.position_deg,
                 "voltage_v": look.voltage_v,
@@ -171,7 +169,7 @@ def _frame_problems(
     found = {
         look.servo_id: look.identity.model
         for look in looks
-        if look.baud_bps == bus.baud_bps and not look.identity.is_shared
+        if look.baud_bps == bus.baud_bps and look.identity.is_single
     }
     joints = [
         joint

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
+from lss_motion.maintenance.findings import doubtful_text
 from lss_motion.maintenance.settings import Target
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import make_command
@@ -69,8 +70,10 @@ def servos_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[Serv
     """
     ids = list(ids)
     found: dict[int, ServoIdentity] = {}
-    for _ in range(2):  # A reply can be lost.
+    for wait_s in (0.0, RESET_WAIT_S):  # A reply can be lost, or a servo restarts.
         left = {servo_id: "" for servo_id in ids if servo_id not in found}
+        if left:
+            connection.wait(wait_s)
         found |= {present.servo_id: present for present in query_each(connection, bus, left)}
     port, baud_bps = connection.buses[bus].port, connection.buses[bus].baud_bps
     missing = [str(servo_id) for servo_id in ids if servo_id not in found]
@@ -86,6 +89,8 @@ def servos_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[Serv
                 f"several servos share id {servo_id}; connect one of them alone",
                 url=port,
             )
+        if found[servo_id].is_doubtful:
+            raise BusError(doubtful_text(servo_id), url=port)
     return [found[servo_id] for servo_id in ids]
 
 

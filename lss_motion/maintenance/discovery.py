@@ -56,6 +56,14 @@ damages some answers by itself (FACTS.md W21), so one bad answer proves nothing.
 
 UNASKED_NS: Final = 400 * NS_PER_MS
 """How long the bus is observed without a query: another program polls several times a second."""
+UNREADABLE_MAX: Final = 20
+"""How often an id is queried on a disturbed bus, while only unreadable bytes come. Chosen: where
+half of the waits are disturbed, one of 5,000 ids without a servo has at most two silent waits."""
+SILENT_ENOUGH: Final = 3
+"""Several servos answer every query, so an id that was silent so often has none. Chosen: one of
+the queries may be lost, and one reply be late."""
+DECIDABLE_RATIO: Final = 0.5
+"""Where more of the waits without a query are disturbed, unreadable bytes tell nothing of an id."""
 
 _CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN|Q[A-Z]*)([!-)+-~]*)\r")
 _ASKED_HERE: Final = ("QMS", "QN")
@@ -78,13 +86,20 @@ _QUESTIONS: Final = ("QF", "QN", "QD", "QV", "QT", "Q")
 class ServoIdentity:
     """The device that answers to an id; with `is_shared`, several devices.
 
-    `model` is the answer to `QMS`, empty if every answer was damaged.
+    `model` is the answer to `QMS`, empty if every answer was damaged. With `is_doubtful` there was
+    no readable answer on a bus that another host disturbs: there may be several devices.
     """
 
     servo_id: int
     model: str
     serial_number: str = ""
     is_shared: bool = False
+    is_doubtful: bool = False
+
+    @property
+    def is_single(self) -> bool:
+        """Whether one device answers to this id, beyond doubt."""
+        return not (self.is_shared or self.is_doubtful)
 
     @property
     def family(self) -> Family:
@@ -142,10 +157,11 @@ def question_alone(servo_id: int, keyword: str, baud_bps: int) -> Step:
     return _question(servo_id, keyword, listen_ns, baud_bps)
 
 
-def own_answers(asked: Sequence[int], received: Sequence[bytes]) -> list[bytes]:
+def own_answers(asked: Sequence[int | None], received: Sequence[bytes]) -> list[bytes]:
     """Return the data after the query to each id of `asked`, without whole answers of other ids.
 
-    Another host causes those. They may begin after one query and end after the next.
+    Another host causes those. They may begin after one query and end after the next. None in
+    `asked` is a wait without a query.
     """
     whole = b"".join(received)
     places = [index for index, data in enumerate(received) for _ in data]
@@ -174,7 +190,7 @@ def judge_answers(
     The id is shared by several devices if three quarters of the answers were damaged or doubled,
     or if two serial numbers came more than once each. Devices answer every time: damaged bytes
     after half of the queries or fewer belong to what another host asked. With `is_disturbed`
-    unreadable bytes also come without a query (`Unasked`): then only what is readable counts.
+    bytes also come without a query (`Unasked`): then only what is readable counts.
     """
     if is_disturbed:
         received = [
@@ -227,9 +243,19 @@ def _values(servo_id: int, data: bytes) -> list[tuple[str, str]]:
     ]
 
 
-def silent_steps() -> list[Step]:
-    """Return a wait in which nothing is asked."""
-    return [Step(b"", UNASKED_NS)]
+def only_unreadable(servo_id: int, received: Sequence[bytes]) -> bool:
+    """Return whether nothing readable came from an id, and bytes after almost all its queries.
+
+    That is how several servos answer while another host disturbs the bus.
+    """
+    is_readable = any(_values(servo_id, data) for data in received)
+    return not is_readable and sum(not data for data in received) < SILENT_ENOUGH
+
+
+def silent_steps(baud_bps: int) -> list[Step]:
+    """Return waits in which nothing is asked, each as long as that for one answer."""
+    wait_ns = question_alone(0, "QMS", baud_bps).listen_ns
+    return [Step(b"", wait_ns)] * -(-UNASKED_NS // wait_ns)
 
 
 @dataclass(slots=True)
@@ -241,6 +267,22 @@ class Unasked:
     unreadable_bytes: int = 0
     """Bytes of no readable reply that came while nothing was asked: replies of several servos to
     one query of another host damage each other."""
+    is_disturbed: bool = False
+    """Whether anything came while nothing was asked."""
+    disturbed_ratio: float = 0.0
+    """The share of the waits without a query in which unreadable bytes came."""
+
+    @property
+    def is_decidable(self) -> bool:
+        """Whether an id with several servos can be told from one without, on a disturbed bus."""
+        return self.is_disturbed and self.disturbed_ratio <= DECIDABLE_RATIO
+
+    def observe(self, received: Sequence[bytes]) -> None:
+        """Use what came during `silent_steps`."""
+        self.take(received, is_silent=True)
+        self.is_disturbed |= any(received)
+        unreadable = own_answers([None] * len(received), received)
+        self.disturbed_ratio = sum(map(bool, unreadable)) / len(received)
 
     def take(self, received: Iterable[bytes], *, is_silent: bool) -> None:
         """Use what came during a roll call, or with `is_silent` while nothing was asked.

@@ -11,7 +11,7 @@ from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from lss_motion.maintenance.discovery import ServoCondition
+    from lss_motion.maintenance.discovery import ServoCondition, Unasked
     from lss_motion.robot.model import Bus, Robot
 
 
@@ -68,6 +68,8 @@ def unreachable(bus: Bus, servos: Sequence[ServoCondition]) -> Iterator[str]:
                 f"own, then the next: lss-motion configure {where} --baud {servo.baud_bps} "
                 f"--id {servo.servo_id} --new-id N"
             )
+        if servo.identity.is_doubtful:
+            yield doubtful_text(servo.servo_id)
     counts: dict[int, list[int]] = {}
     for servo in servos:
         counts.setdefault(servo.baud_bps, []).append(servo.servo_id)
@@ -96,7 +98,7 @@ def differences(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Ite
             )
         elif servo.identity.model and not servo.identity.model.startswith(joint.model.name):
             yield f"joint {joint.name!r}: {model_mismatch_text(joint, servo.identity.model)}"
-        elif servo.baud_bps != bus.baud_bps and not servo.identity.is_shared:
+        elif servo.baud_bps != bus.baud_bps and servo.identity.is_single:
             yield (
                 f"joint {joint.name!r}: servo {servo_id} listens at {servo.baud_bps} bps, the "
                 f"robot file says {bus.baud_bps}"
@@ -105,9 +107,9 @@ def differences(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Ite
 
 def warnings(servos: Sequence[ServoCondition], where: str) -> Iterator[str]:
     """Yield the servos that answer but have a problem. `where` names the port in a command."""
+    if replies := {servo.servo_id: servo.unasked for servo in servos if servo.unasked}:
+        yield unasked_text(replies)
     for servo in servos:
-        if servo.unasked:
-            yield unasked_text(f"servo {servo.servo_id}", servo.unasked)
         if servo.status is Status.SAFE_MODE:
             cause = "" if servo.cause is None else servo.cause.name.lower().replace("_", " ")
             remedy = "find the cause" if servo.cause is None else REMEDIES[servo.cause]
@@ -127,13 +129,16 @@ def warnings(servos: Sequence[ServoCondition], where: str) -> Iterator[str]:
             )
 
 
-def unasked_text(who: str, count: int) -> str:
-    """Return the text for a servo whose replies this program did not ask for."""
-    replies = "a reply" if count == 1 else f"{count} replies"
+def unasked_text(replies: Mapping[int, int]) -> str:
+    """Return the text for servos whose replies, so many by id, this program did not ask for."""
+    count, is_one = sum(replies.values()), len(replies) == 1
+    servos = f"servo{'' if is_one else 's'} {', '.join(map(str, sorted(replies)))}"
     return (
-        f"{who} sent {replies} that this program did not ask for: another program or computer asks "
-        f"on this bus, or the servo sends by itself. Two hosts disturb each other: stop the other "
-        f"one, or take that servo off the bus"
+        f"{servos} sent {'a reply' if count == 1 else f'{count} replies'} that this program did "
+        f"not ask for: another program or computer asks on this bus, or the servo"
+        f"{'' if is_one else 's'} send{'s' if is_one else ''} by "
+        f"{'itself' if is_one else 'themselves'}. Two hosts disturb each other: stop the other "
+        f"one, or take {'that servo' if is_one else 'those servos'} off the bus"
     )
 
 
@@ -146,8 +151,25 @@ def unreadable_text(where: str) -> str:
         f"{where}: unreadable bytes come that this program did not ask for: another program or "
         f"computer asks several servos at once on this bus, and their replies damage each other, "
         f"or the cable is disturbed. Stop the other one, or take its cable off; until then replies "
-        f"are lost here, too"
+        f"are lost here, too, and ids that several servos share may not be found. Then scan again"
     )
+
+
+def doubtful_text(servo_id: int) -> str:
+    """Return the text for an id that cannot be judged while another host disturbs the bus."""
+    return (
+        f"id {servo_id}: its queries are regularly answered by unreadable bytes: several servos "
+        f"share this id, or its replies collide with those that another host asks for. Stop the "
+        f"other host, then scan again"
+    )
+
+
+def other_hosts(where: str, unasked: Unasked) -> Iterator[str]:
+    """Yield what a bus shows of another host, for commands that do not print every servo."""
+    if unasked.unreadable_bytes:
+        yield unreadable_text(where)
+    if unasked.replies:
+        yield unasked_text(unasked.replies)
 
 
 def unnamed(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Iterator[str]:
@@ -155,7 +177,8 @@ def unnamed(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Iterato
     joints = {joint.servo_id for joint in robot.joints.values() if joint.bus == bus.name}
     pins = [servo for servo in servos if servo.identity.family is Family.IO2]
     for servo in servos:
-        if servo.servo_id not in joints and servo not in pins:
+        is_named = servo.servo_id in joints or servo in pins or servo.identity.is_doubtful
+        if not is_named:
             yield f"servo {servo.servo_id} ({servo.identity.model}) is not in the robot file"
 
 
@@ -167,7 +190,7 @@ def table(servos: Sequence[ServoCondition], names: Mapping[int, str]) -> list[st
         present = servo.identity
         cells = (
             str(servo.servo_id),
-            "several at once" if present.is_shared else present.model or "-",
+            _kind(servo),
             _cell(servo.firmware, "{:d}"),
             present.serial_number or "-",
             _cell(servo.position_deg, "{:z.1f} deg"),
@@ -178,6 +201,12 @@ def table(servos: Sequence[ServoCondition], names: Mapping[int, str]) -> list[st
         rows.append((names.get(servo.servo_id, "-"), *cells) if names else cells)
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return [_aligned(row, widths) for row in rows]
+
+
+def _kind(servo: ServoCondition) -> str:
+    if servo.identity.is_doubtful:
+        return "unreadable"
+    return "several at once" if servo.identity.is_shared else servo.identity.model or "-"
 
 
 def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
@@ -197,7 +226,7 @@ def starter_file(name: str, bus: Bus, servos: Sequence[ServoCondition]) -> str |
     usable: list[ServoCondition] = []
     left: list[ServoCondition] = []
     for servo in servos:
-        is_good = servo.baud_bps == main_bps and not servo.identity.is_shared
+        is_good = servo.baud_bps == main_bps and servo.identity.is_single
         model = _model(servo)
         (usable if is_good and model is not None else left).append(servo)
     if not usable:
@@ -243,6 +272,8 @@ def _comment(servo: ServoCondition) -> str:
 def _reason(servo: ServoCondition, main_bps: int) -> str:
     if servo.identity.is_shared:
         return "which several servos share"
+    if servo.identity.is_doubtful:
+        return "with unreadable replies"
     if servo.baud_bps != main_bps:
         return f"{servo.identity.model} at {servo.baud_bps} bps"
     return f"{servo.identity.model or 'no model known'}, which no joint of a robot file can be"

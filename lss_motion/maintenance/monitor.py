@@ -279,7 +279,7 @@ class Thresholds:
         if servo.is_silent:
             return [("silent", f"{name} does not answer")]
         if servo.unasked > UNASKED_MAX:
-            found.append(("unasked", unasked_text(name, servo.unasked)))
+            found.append(("unasked", unasked_text({servo.target.servo_id: servo.unasked})))
         if servo.status in BAD_STATUS and servo.status is not None:
             found.append(("status", f"{name}: {servo.status.value}"))
         if servo.temperature_c is not None and servo.temperature_c >= self.temperature_max_c:

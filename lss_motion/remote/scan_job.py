@@ -53,7 +53,7 @@ def found_on(
 ) -> tuple[list[m.FoundServo], list[str]]:
     """Return the servos of one bus, and what a person should mend."""
     from lss_motion.maintenance import findings
-    from lss_motion.survey import survey
+    from lss_motion.survey import survey, unreadable
 
     bus = robot.buses[bus_name]
     names = {j.servo_id: j.name for j in robot.joints.values() if j.bus == bus_name}
@@ -72,9 +72,11 @@ def found_on(
         )
         for look in looks
     ]
+    others = unreadable(connection, bus)
     if not looks:
-        return servos, [f"bus {bus_name}: {findings.NO_ANSWER}"]
+        return servos, [*others, f"bus {bus_name}: {findings.NO_ANSWER}"]
     problems = [
+        *others,
         *findings.unreachable(bus, looks),
         *findings.differences(robot, bus, looks),
         *findings.warnings(looks, f"--port {bus.port}"),

@@ -6,18 +6,21 @@ import dataclasses
 
 import pytest
 
+from lss_motion import connection as connections
+from lss_motion.cli.main import main
+from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
 from lss_motion.maintenance import findings
 from lss_motion.maintenance.discovery import (
-    Unasked,
     is_doubtful,
     judge_answers,
+    own_answers,
     read_roll_call,
 )
 from lss_motion.maintenance.findings import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.survey import roll_call, survey
+from lss_motion.survey import observed, roll_call, survey
 
 
 def ids(found):
@@ -134,19 +137,94 @@ def test_another_host_that_asks_all_servos_at_once_is_noticed(connected, spec, l
     """Its replies damage each other; the servos are found all the same, and no others."""
     master = Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.1)
     connection = connected(*map(spec, (5, 6, 9)), faults=[master], seed=seed)
-    unasked = Unasked()
-    looks = survey(connection, connection.buses["main"], 115200, unasked=unasked)
-    assert unasked.unreadable_bytes > 0
+    looks = survey(connection, connection.buses["main"], 115200)
+    assert observed(connection, "main").unreadable_bytes > 0
     assert [look.servo_id for look in looks] == [5, 6, 9]
     assert not any(look.identity.is_shared for look in looks)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_shared_id_on_a_bus_that_another_host_disturbs_is_doubtful(connected, spec, seed):
+    """Its replies always damage each other, as those that the other host asks for do."""
+    master = Fault(kind=FaultKind.SECOND_MASTER, text="#254QD", every_s=0.1)
+    connection = connected(*map(spec, (5, 6, 9, 9, 12)), faults=[master], seed=seed)
+    looks = survey(connection, connection.buses["main"], 115200)
+    doubtful = [look.servo_id for look in looks if look.identity.is_doubtful]
+    assert ([look.servo_id for look in looks], doubtful) == ([5, 6, 9, 12], [9])
+    (text,) = findings.unreachable(connection.buses["main"], looks)
+    assert "id 9: its queries are regularly answered by unreadable bytes" in text
+    assert "Stop the other host, then scan again" in text
+
+
+@pytest.fixture
+def command(connected, monkeypatch, capsys):
+    """Return what runs a command on servos in virtual time: exit code, output, errors, lines."""
+
+    def run(*words, servos, faults=()):
+        connection = connected(*servos, faults=faults)
+        monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
+        code = main([str(word) for word in words])
+        lines = [line for _, line in connection.simulated["main"].lines]
+        return (code, *capsys.readouterr(), lines)
+
+    return run
+
+
+def test_scan_prints_an_id_that_is_doubtful_and_what_to_do(command, spec):
+    master = Fault(kind=FaultKind.SECOND_MASTER, text="#254QD", every_s=0.1)
+    asked = ("scan", "P", "--baud", 115200)
+    servos = [*map(spec, (5, 6, 9, 9))]
+    code, out, errors, _ = command(*asked, servos=servos, faults=[master])
+    assert (code, errors) == (EXIT_UNREACHABLE, "")
+    assert "note: P: unreadable bytes come that this program did not ask for" in out
+    assert "problem: id 9: its queries are regularly answered by unreadable bytes" in out
+    assert "Stop the other host, then scan again" in out
+
+
+def test_configure_notes_another_host_and_writes_no_doubtful_id(command, spec):
+    master = Fault(kind=FaultKind.SECOND_MASTER, text="#5QD", every_s=0.1)
+    servos, faults = [*map(spec, (5, 9, 9))], [master]
+    asked = ("configure", "--port", "P", "--yes", "--set", "LED=3", "--id")
+    code, out, errors, lines = command(*asked, 5, servos=servos, faults=faults)
+    assert (code, errors) == (EXIT_FINISHED, "")
+    assert "note: servo 5 sent" in out
+    assert any(line.startswith(b"#5CLED3") for line in lines)
+    code, out, errors, lines = command(*asked, 9, servos=servos, faults=faults)
+    assert code == EXIT_UNREACHABLE
+    assert "id 9: its queries are regularly answered by unreadable bytes" in errors
+    assert not any(line.startswith(b"#9C") for line in lines)
+    _, out, _, _ = command(*asked, 5, servos=servos)
+    assert "note" not in out
+
+
+def test_whole_answers_of_other_ids_are_left_out_wherever_they_are_cut():
+    asked = [5, 6, None, 6]
+    received = [b"*5QMSA\r*9Q", b"MSB\r*6QM", b"*7QD1\r", b"SC\r"]
+    assert own_answers(asked, received) == [b"*5QMSA\r", b"*6QM", b"", b"SC\r"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "received"),
+    [
+        ([5, 6], [b"*5QM", b"SA\r*6QMSB\r"]),
+        ([6, 5, 6], [b"", b"*6QM", b"SB\r"]),
+    ],
+)
+def test_an_answer_that_another_query_cuts_is_kept(asked, received):
+    assert own_answers(asked, received) == received
+
+
+def test_unreadable_bytes_of_an_id_are_kept():
+    received = [b"*5Q\x80S", b"\x00*6\xffMSB\r"]
+    assert own_answers([5, 6], received) == received
 
 
 @pytest.mark.parametrize("line", ["", "#5QD"])
 def test_readable_replies_are_no_unreadable_bytes(connected, spec, line):
     masters = [Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.05)] if line else []
     connection = connected(*map(spec, (5, 6, 9)), faults=masters)
-    unasked = Unasked()
-    survey(connection, connection.buses["main"], 115200, unasked=unasked)
+    survey(connection, connection.buses["main"], 115200)
+    unasked = observed(connection, "main")
     assert (unasked.unreadable_bytes, unasked.replies[5] > 0) == (0, bool(line))
 
 
