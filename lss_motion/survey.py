@@ -70,7 +70,7 @@ def observed(connection: Connection, bus_name: str) -> Unasked:
 
 def unreadable(connection: Connection, bus: Bus) -> list[str]:
     """Return the note about a bus on which a survey found unreadable bytes; none without them."""
-    from lss_motion.maintenance.findings import unreadable_text
+    from lss_motion.player.unasked import unreadable_text
 
     seen = [one for (name, _), one in connection.unasked.items() if name == bus.name]
     return [unreadable_text(bus.port)] if any(one.unreadable_bytes for one in seen) else []

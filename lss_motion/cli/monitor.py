@@ -45,7 +45,9 @@ allows. Sends queries only; moves and changes nothing. Ctrl-C ends it.
   lss-motion monitor my_robot.yaml --for 10 | cat      lines instead of a table
 
 It beeps once when a servo gets hot, draws much current, has a wrong supply voltage, is stuck, is in
-safe mode, or stops replying. Angles and speeds are those of the servos, not of the joints.
+safe mode, or stops replying; and when another host asks the servos, or one sends by itself. Then it
+asks nothing for a second, to find out which. Angles and speeds are those of the servos, not of the
+joints.
 """
 
 
@@ -262,7 +264,7 @@ class Screen:
 
     def update(self, now_ns: int, started_ns: int) -> None:
         """Print new alarms; draw the table or print lines, if they are due."""
-        for text in self._alarms.update(self._watch.readings, self._watch.unreadable):
+        for text in self._alarms.update(self._watch.readings, self._watch.disturbed):
             if not self._is_quiet:
                 print("\a", end="", file=sys.stderr, flush=True)
             if not self._is_live:

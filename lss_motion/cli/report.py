@@ -158,6 +158,7 @@ def report_lines(report: dict[str, Any]) -> list[str]:
             f"bus {name}: {bus['baud_bps']} bps, {bus['tx_utilisation_ratio']:.0%} sent, "
             f"{bus['queries']} queries, {bus['replies']} replies ({bus['query_rate_hz']:.0f}/s), "
             f"{bus['timeouts']} timeouts, {bus['garbage']} garbage, {bus['rejected']} rejected"
+            + (f", {bus['unasked']} not asked for" if bus.get("unasked") else "")
         )
     if report["joints"]:
         width = max(len(name) for name in [*report["joints"], "joint"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.maintenance.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
+from lss_motion.player.unasked import unasked_text, unreadable_text
 from lss_motion.protocol.constants import Family, SafeModeCause, Status
 from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 
@@ -127,32 +128,6 @@ def warnings(servos: Sequence[ServoCondition], where: str) -> Iterator[str]:
                 f"servo {servo.servo_id} has {servo.voltage_v:.1f} V; {SUPPLY_MIN_V:g} to "
                 f"{SUPPLY_MAX_V:g} V are allowed. Check battery and supply"
             )
-
-
-def unasked_text(replies: Mapping[int, int]) -> str:
-    """Return the text for servos whose replies, so many by id, this program did not ask for."""
-    count, is_one = sum(replies.values()), len(replies) == 1
-    servos = f"servo{'' if is_one else 's'} {', '.join(map(str, sorted(replies)))}"
-    return (
-        f"{servos} sent {'a reply' if count == 1 else f'{count} replies'} that this program did "
-        f"not ask for: another program or computer asks on this bus, or the servo"
-        f"{'' if is_one else 's'} send{'s' if is_one else ''} by "
-        f"{'itself' if is_one else 'themselves'}. Two hosts disturb each other: stop the other "
-        f"one, or take {'that servo' if is_one else 'those servos'} off the bus"
-    )
-
-
-def unreadable_text(where: str) -> str:
-    """Return the text for a bus on which unreadable bytes come that this program did not ask for.
-
-    Only ids with a readable reply can be trusted then.
-    """
-    return (
-        f"{where}: unreadable bytes come that this program did not ask for: another program or "
-        f"computer asks several servos at once on this bus, and their replies damage each other, "
-        f"or the cable is disturbed. Stop the other one, or take its cable off; until then replies "
-        f"are lost here, too, and ids that several servos share may not be found. Then scan again"
-    )
 
 
 def doubtful_text(servo_id: int) -> str:

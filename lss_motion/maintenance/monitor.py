@@ -3,12 +3,16 @@
 A round queries every servo for the values that change quickly and for one of those that change
 slowly. Nothing is commanded and nothing moves; another program may move the servos meanwhile. An
 alarm reports a servo that is hot, overloaded, badly supplied, stuck or silent.
+
+Where more arrives than was asked for, nothing is asked for a moment. What arrives all the same is
+of another host, or of a servo that sends by itself; if nothing does, several servos share an id.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.maintenance.discovery import (
@@ -18,15 +22,15 @@ from lss_motion.maintenance.discovery import (
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
-from lss_motion.maintenance.findings import unasked_text, unreadable_text
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
+from lss_motion.player.unasked import UnaskedWatch, disturbed_text
 from lss_motion.protocol.codec import language_table, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command, Reply
 from lss_motion.protocol.table import Device
-from lss_motion.units import NS_PER_S
+from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -43,9 +47,14 @@ HISTORY: Final = 40
 """The positions of a sparkline."""
 MISSES_MAX: Final = 3
 """Rounds without any answer after which a servo is silent."""
-UNASKED_ROUNDS: Final = 50
-UNASKED_MAX: Final = 2
-"""More replies than queries in so many rounds: another host asks, or the servo sends by itself."""
+LATE_NS: Final = 50 * NS_PER_MS
+"""What arrives so shortly after the last query may be its second reply, held back by an adapter
+for 16 ms (FACTS.md H1)."""
+SILENCE_NS: Final = 1200 * NS_PER_MS
+"""How long nothing is asked. Chosen: a host that asks once a second is noticed by then."""
+FIRST_NS: Final = 300 * NS_PER_MS
+"""How long nothing is asked after the first arrival. Chosen: other programs ask all servos in
+that time, so that all are named."""
 SUSPENDED_NS: Final = 2 * NS_PER_S
 """How long a silent servo is not polled, so that it does not delay the others all the time; the
 maker's library takes 15 s (FACTS.md H6)."""
@@ -66,9 +75,6 @@ class ServoState:
     raw: float | None = None
     """The value of an analog pin of a 2IO."""
     misses: int = 0
-    unasked: int = 0
-    """How many more replies than queries there were in the last rounds."""
-    surplus: deque[int] = field(default_factory=lambda: deque(maxlen=UNASKED_ROUNDS))
     positions_deg: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
 
     @property
@@ -108,6 +114,27 @@ class ServoState:
 
 
 @dataclass(slots=True)
+class _Silence:
+    """A time in which nothing is asked, and what arrives in it."""
+
+    from_ns: int
+    until_ns: int
+    replies: Counter[int] = field(default_factory=Counter)
+    """Replies by servo id."""
+    unreadable: int = 0
+    """Deliveries without a whole reply."""
+
+    def take(self, replies: Sequence[Reply], now_ns: int) -> None:
+        """Use a delivery with these whole replies."""
+        if now_ns < self.from_ns:
+            return
+        if not replies:
+            self.unreadable += 1
+        self.replies.update(one.servo_id for one in replies if one.servo_id is not None)
+        self.until_ns = min(self.until_ns, now_ns + FIRST_NS)
+
+
+@dataclass(slots=True)
 class _BusRounds:
     """The rounds of one bus, which do not depend on those of a slower bus."""
 
@@ -116,24 +143,37 @@ class _BusRounds:
     line: SerialLine
     tracker: QueryTracker
     dialogue: Dialogue
+    watch: UnaskedWatch
     rounds: int = 0
     began_ns: int = 0
-    replies: Counter[int] = field(default_factory=Counter)
-    """The replies of this round by servo id."""
     suspended: dict[int, int] = field(default_factory=dict)
     """Servo id → end of the time in which it is not polled."""
-    asked: int = 0
-    """Number of queries of this round."""
-    seen_garbage: int = 0
-    """Unreadable pieces that came before this round."""
-    surplus: deque[int] = field(default_factory=lambda: deque(maxlen=UNASKED_ROUNDS))
-    """For each round: unreadable pieces less the queries without an answer, which may be these."""
+    silence: _Silence | None = None
+    found: str = ""
+    """Why more arrives than was asked for, as a text for a person; empty if that is not so."""
+
+    def listen(self, now_ns: int) -> bool:
+        """Return whether nothing may be asked now: it is found out why too much arrives."""
+        if self.silence is None:
+            if self.watch.advance(now_ns):
+                from_ns = now_ns + LATE_NS
+                self.silence = _Silence(from_ns, from_ns + SILENCE_NS)
+            elif not self.watch.is_disturbed:
+                self.found = ""
+        elif now_ns >= self.silence.until_ns:
+            heard, self.silence = self.silence, None
+            is_other = bool(heard.replies or heard.unreadable)
+            self.found = (
+                disturbed_text(self.name, heard.replies, heard.unreadable)
+                if is_other
+                else _shared_text(self.name, self.watch.replies)
+            )
+        return self.silence is not None
 
     def begin(self, now_ns: int) -> None:
         """Begin the next round."""
         self.rounds += 1
         self.began_ns = now_ns
-        self.replies.clear()
         items = [
             Item(bus=self.name, command=Command(servo_id, keyword), is_query=True, tries=1)
             for servo in self.servos
@@ -141,7 +181,6 @@ class _BusRounds:
             if self.suspended.get(servo_id, 0) <= now_ns
             for keyword in _keywords(servo, self.rounds)
         ]
-        self.asked = len(items)
         self.dialogue = Dialogue(items, {self.name: self.line}, {self.name: self.tracker})
 
     def end(self, now_ns: int) -> list[ServoState]:
@@ -149,9 +188,6 @@ class _BusRounds:
         if not self.rounds:
             return []
         fresh = []
-        unanswered = self.asked - len(self.dialogue.answers)
-        self.surplus.append(self.line.garbage - self.seen_garbage - unanswered)
-        self.seen_garbage = self.line.garbage
         for servo in self.servos:
             servo_id = servo.target.servo_id
             if self.suspended.get(servo_id, 0) > self.began_ns:
@@ -163,9 +199,6 @@ class _BusRounds:
                 if asked_id == servo_id
             }
             servo.take_round(answered, now_ns)
-            asked = len(_keywords(servo, self.rounds)) if answered else 0
-            servo.surplus.append(self.replies[servo_id] - max(asked, len(answered)))
-            servo.unasked = max(sum(servo.surplus), 0)
             if servo.is_silent:
                 self.suspended[servo_id] = now_ns + SUSPENDED_NS
             if answered:
@@ -189,7 +222,8 @@ class Watch:
             tracker = QueryTracker(line)
             on_bus = [servo for servo in self.readings if servo.target.bus == name]
             dialogue = Dialogue([], {name: line}, {name: tracker})
-            self._buses[name] = _BusRounds(name, on_bus, line, tracker, dialogue)
+            watch = UnaskedWatch(line, tracker)
+            self._buses[name] = _BusRounds(name, on_bus, line, tracker, dialogue, watch)
 
     @property
     def rounds(self) -> dict[str, int]:
@@ -197,9 +231,9 @@ class Watch:
         return {name: max(bus.rounds - 1, 0) for name, bus in self._buses.items()}
 
     @property
-    def unreadable(self) -> list[str]:
-        """Return the buses with unreadable bytes that no query here can have caused."""
-        return [name for name, bus in self._buses.items() if sum(bus.surplus) > UNASKED_MAX]
+    def disturbed(self) -> dict[str, str]:
+        """Return, by bus, why more arrives than was asked for, as a text for a person."""
+        return {name: bus.found for name, bus in self._buses.items() if bus.found}
 
     @property
     def has_asked_all(self) -> bool:
@@ -219,19 +253,22 @@ class Watch:
         for name, bus in self._buses.items():
             bus.dialogue.advance(leaves_ns)
             if bus.dialogue.is_finished and not self._is_stopped:
-                self._fresh += bus.end(leaves_ns)
-                bus.begin(leaves_ns)
-                bus.dialogue.advance(leaves_ns)
+                if bus.silence is None:
+                    self._fresh += bus.end(leaves_ns)
+                if not bus.listen(leaves_ns):
+                    bus.begin(leaves_ns)
+                    bus.dialogue.advance(leaves_ns)
             if data := bus.line.take():
                 out[name] = data
         return out
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         if (rounds := self._buses.get(bus)) is not None:
-            for reply, _ in rounds.line.receive(data, now_ns):
-                if reply.servo_id is not None:
-                    rounds.replies[reply.servo_id] += 1
+            replies = [reply for reply, _ in rounds.line.receive(data, now_ns)]
+            for reply in replies:
                 rounds.dialogue.receive(bus, reply, now_ns)
+            if rounds.silence is not None:
+                rounds.silence.take(replies, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         if self._is_stopped:
@@ -239,7 +276,9 @@ class Watch:
         wakeups_ns = []
         for bus in self._buses.values():
             wakeup_ns = bus.dialogue.next_wakeup_ns()
-            if wakeup_ns is None:  # All are suspended: continue with the first to end.
+            if bus.silence is not None:
+                wakeup_ns = bus.silence.until_ns
+            elif wakeup_ns is None:  # All are suspended: continue with the first to end.
                 wakeup_ns = min(bus.suspended.values(), default=bus.began_ns)
             wakeups_ns.append(wakeup_ns)
         return min(wakeups_ns, default=None)
@@ -249,6 +288,16 @@ class Watch:
 
     def safe_bytes(self) -> Mapping[str, bytes]:
         return {}
+
+
+def _shared_text(where: str, replies: Mapping[int, int]) -> str:
+    """Return the text for a bus on which queries bring more than one reply, or damaged ones."""
+    ids = ", ".join(str(one) for one, count in sorted(replies.items()) if count > 1)
+    return (
+        f"{where}: queries{f' to id {ids}' if ids else ''} bring several replies, or damaged ones, "
+        f"and nothing comes while nothing is asked: several servos share an id, or the cable is "
+        f"disturbed. `lss-motion scan` names the id"
+    )
 
 
 def _keywords(servo: ServoState, round_: int) -> tuple[str, ...]:
@@ -278,8 +327,6 @@ class Thresholds:
         found = []
         if servo.is_silent:
             return [("silent", f"{name} does not answer")]
-        if servo.unasked > UNASKED_MAX:
-            found.append(("unasked", unasked_text({servo.target.servo_id: servo.unasked})))
         if servo.status in BAD_STATUS and servo.status is not None:
             found.append(("status", f"{name}: {servo.status.value}"))
         if servo.temperature_c is not None and servo.temperature_c >= self.temperature_max_c:
@@ -315,17 +362,19 @@ class Alarms:
         self.active: dict[tuple[str, str], str] = {}
         """Servo and kind → the newest text."""
 
-    def update(self, readings: Iterable[ServoState], unreadable: Iterable[str] = ()) -> list[str]:
+    def update(
+        self, readings: Iterable[ServoState], disturbed: Mapping[str, str] = MappingProxyType({})
+    ) -> list[str]:
         """Return the texts of the alarms that have begun since the last call.
 
-        `unreadable` are the buses of `Watch.unreadable`.
+        `disturbed` is `Watch.disturbed`.
         """
         now = {
             (servo.target.name, kind): text
             for servo in readings
             for kind, text in self._thresholds.alarms(servo)
         }
-        now |= {(bus, "unreadable"): unreadable_text(bus) for bus in unreadable}
+        now |= {(bus, "unasked"): text for bus, text in disturbed.items()}
         fresh = [text for key, text in now.items() if key not in self.active]
         self.active = now
         return fresh

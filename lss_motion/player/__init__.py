@@ -38,6 +38,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     polling         queries in the gaps between moves, and their use    streamer
     query_choice    which servo is polled next, and for what            polling
     query_tracker   queries in flight on one bus                        polling, transactions
+    unasked         what arrives on a bus beyond its queries            session, monitor
     serial_line     one line: when it is free, what came in             all that send
     stalls          delays of this process when a move was due          player
     settings_watch  servos that may have lost their settings        polling

@@ -54,8 +54,7 @@ if TYPE_CHECKING:
 
 
 IDLE_NS: Final = 20 * NS_PER_MS
-"""The player is called at least this often (`Player.idle_ns`), since a person may press a key, and
-telemetry may be due, while nothing of the show is."""
+"""The player is called at least this often: a person may press a key, or telemetry be due."""
 COUNT_IN_NS: Final = 200 * NS_PER_MS
 """Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
 (13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
@@ -108,6 +107,7 @@ class Player:
         self._session = Session(program, robot, start_s=start_s, pace=pace, **options)
         self.lines = self._session.lines
         self.trackers = self._session.trackers
+        self.unasked = self._session.unasked
         self._faults = FaultHandler(self._session)
         self._stalls = StallDetector()
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
@@ -154,8 +154,10 @@ class Player:
         for reply, ended_ns in self.lines[bus].receive(data, now_ns):
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
-            elif self._streamer is not None:
+            elif self._streamer is not None and self._session.has_feedback:
                 self._streamer.receive(bus, reply, ended_ns, now_ns)
+            else:
+                self.trackers[bus].receive(reply, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         """Return when `data_to_send` must be called at the latest; None when the run is over."""
@@ -298,8 +300,7 @@ class Player:
     def run_from(self, show_s: float, now_ns: int) -> None:
         """Let a show that stands before its start be at `show_s` now, and run from there on.
 
-        At most at its first instant: until then nothing moves, so that it begins exactly when the
-        clock reaches it.
+        At most at its first instant: until then nothing moves.
         """
         self._note_stall(now_ns)
         if self.show is not None and self.phase is Phase.SHOW:
@@ -439,6 +440,7 @@ class Player:
             return
         if self.phase in PLAYING:
             self._events += self._session.agenda.advance(self._streamer, self.lines, now_ns)
+        self._events += map(Warned, self.unasked.advance(now_ns))
         self._streamer.advance(now_ns)
         if (back_at_s := self._streamer.take_way_back()) is not None:
             self._session.agenda.go_back(back_at_s)
@@ -477,9 +479,8 @@ class Player:
         misses = self._faults.goal_misses(show)
         if self._ended_ns is None:
             self._ended_ns = now_ns
-        ends_ns = [
-            self._ended_ns + ns_from_s(self.robot.joints[name].goal_time_s) for name in misses
-        ]
+        joints = self.robot.joints
+        ends_ns = [self._ended_ns + ns_from_s(joints[name].goal_time_s) for name in misses]
         self._goal_ns = min((end_ns for end_ns in ends_ns if end_ns > now_ns), default=None)
         if self._goal_ns is not None:
             return False
@@ -549,9 +550,8 @@ class Player:
             self._prepare()
 
     def _prepare(self, *, is_repeated: bool = False) -> None:
-        self._has_set = True
+        self._has_set, self._approaches = True, 0
         self._prepared_from_ns, self._is_repeated = self._now_ns, is_repeated
-        self._approaches = 0
         self._enter(Phase.PREPARE)
         self._dialogue = self._session.settings_dialogue()
 

@@ -194,6 +194,8 @@ class QueryTracker:
         self.reply_count = 0
         self.timeouts = 0
         self.strays = 0
+        self.unasked: Counter[tuple[int, str]] = Counter()
+        """Of the strays, by id and keyword, those that are no late answers."""
         self._flights: dict[int, _Flight] = {}
         self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
@@ -401,6 +403,8 @@ class QueryTracker:
         self.strays += 1
         flight, link = self._flights.get(servo_id), self._links.get(servo_id)
         is_late = link is not None and keyword in link.overdue
+        if not is_late:
+            self.unasked[servo_id, keyword] += 1
         if link is not None and is_late:
             link.last_reply_ns = now_ns
             link.latency.forget(now_ns - link.overdue[keyword])

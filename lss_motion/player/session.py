@@ -26,6 +26,7 @@ from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.settings_watch import Probe
 from lss_motion.player.streamer import Streamer
 from lss_motion.player.transactions import Dialogue
+from lss_motion.player.unasked import UnaskedWatches
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.verify import profiles
 from lss_motion.protocol.framing import Command, encode
@@ -82,6 +83,7 @@ class Session:
         self.joints = [robot.joints[name] for name in program.start_deg]
         self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
         self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self.unasked = UnaskedWatches(self.lines, self.trackers)
         self.agenda = Agenda(program, robot)
         self.agenda.begin_at(start_s)
         self.led_joints = {name for cue in program.cues for name, _ in cue.led}

@@ -84,6 +84,9 @@ class BusReport:
     rejected: int
     """Replies to no open query, and values that the servo cannot have reached."""
     query_rate_hz: float
+    unasked: int
+    """Replies and unreadable packets beyond the queries, where so many came that another host asks
+    on this bus, or something sends by itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,6 +274,7 @@ def bus_report(player: Player, name: str, run_s: float) -> BusReport:
         garbage=line.garbage,
         rejected=tracker.strays + (reader.rejected[name] if reader is not None else 0),
         query_rate_hz=round(tracker.query_count / run_s, 1) if run_s > 0.0 else 0.0,
+        unasked=player.unasked.total(name),
     )
 
 

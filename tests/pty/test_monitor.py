@@ -87,6 +87,18 @@ def test_without_a_robot_file_every_servo_that_answers_is_watched(on_terminal, s
     assert (code, "no servo with an id of its own" in errors) == (EXIT_UNREACHABLE, True)
 
 
+def test_another_host_and_its_servos_are_named_in_an_alarm(on_terminal, servo):
+    masters = [
+        Fault(kind=FaultKind.SECOND_MASTER, text=f"#{number}QD", every_s=0.05, at_s=0.02 * number)
+        for number in (1, 2)
+    ]
+    with on_terminal(servo(1), servo(2), faults=masters):
+        Path("robot.yaml").write_text(ROBOT)
+        code, out, _ = monitored("robot.yaml", until=("ALARM  main: servos 1, 2 sent",))
+    assert code == EXIT_INTERRUPTED
+    assert "another program or computer asks on this bus" in out
+
+
 def test_a_port_that_is_pulled_ends_it_with_its_reason(on_terminal, servo, lss_motion):
     pulled = Fault(kind=FaultKind.UNPLUGGED, at_s=3.0)
     with on_terminal(servo(1), faults=[pulled]):

@@ -230,7 +230,7 @@ def test_another_host_is_an_alarm_and_a_late_reply_is_not(connected, spec, line,
                 watch.stop()
 
         run(watch, connection.ports, connection.clock, on_turn=on_turn)
-        return Alarms(Thresholds()).update(watch.readings)
+        return Alarms(Thresholds()).update(watch.readings, watch.disturbed)
 
     assert texts([]) == []
     (text,) = texts([Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.03)])
@@ -250,7 +250,7 @@ def alarms_of(connected, spec):
         began_ns, found = connection.clock.now_ns(), []
 
         def on_turn(watch, now_ns):
-            found.extend(alarms.update(watch.readings, watch.unreadable))
+            found.extend(alarms.update(watch.readings, watch.disturbed))
             if now_ns >= began_ns + 2_000_000_000:
                 watch.stop()
 
@@ -274,11 +274,38 @@ def test_another_host_that_asks_all_servos_at_once_is_an_alarm(alarms_of, line):
         Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.1),
         Fault(kind=FaultKind.LOST_REPLY, ratio=0.1),
         Fault(kind=FaultKind.DEAF, servo_id=2, at_s=1.0),
+        Fault(kind=FaultKind.WRONG_ID, servo_id=2, as_id=3),
     ],
     ids=lambda fault: fault.kind.value,
 )
 def test_damaged_and_lost_replies_are_no_other_host(alarms_of, fault):
-    assert not any("unreadable bytes" in text for text in alarms_of(fault))
+    assert not any(
+        "unreadable bytes" in text or "did not ask for" in text for text in alarms_of(fault)
+    )
+
+
+def test_servos_that_share_an_id_are_no_other_host(watched, spec):
+    """Each query brings two replies, but nothing comes while nothing is asked."""
+    double = Fault(kind=FaultKind.DOUBLE_REPLY, servo_id=2)
+    watch, _, _ = watched(spec(1), spec(2), faults=[double], for_s=4.0)
+    (text,) = watch.disturbed.values()
+    assert "queries to id 2 bring several replies" in text
+    assert "several servos share an id" in text
+
+
+def test_an_alarm_about_another_host_ends_when_that_is_gone(watched, spec):
+    master = Fault(kind=FaultKind.SECOND_MASTER, text="#1QV", every_s=0.02, until_s=2.0)
+    seen = []
+    watched(
+        spec(1),
+        spec(2),
+        faults=[master],
+        for_s=8.5,
+        baud_bps=38400,
+        on_turn=lambda watch, now_ns: seen.append((now_ns, bool(watch.disturbed))),
+    )
+    active_ns = [now_ns for now_ns, is_active in seen if is_active]
+    assert active_ns[0] < 2.0 * NS_PER_S < active_ns[-1] < 8.0 * NS_PER_S
 
 
 @pytest.mark.parametrize("firmware", [779, 780])
