@@ -21,6 +21,7 @@ import numpy as np
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     DIGITS,
+    TENTHS_PER_DEG,
     VALUES_MAX,
     Channel,
     ForeignMotion,
@@ -37,9 +38,6 @@ from lss_motion.units import s_from_ms, s_from_us
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-TENTHS_PER_DEG: Final = 10.0
-"""Unit of `D` (FACTS.md C1)."""
 
 ID_MAX: Final = 250
 """Largest id of an LSS. An SSC-32 has 32 channels."""

@@ -17,7 +17,13 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, Name, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
-from lss_motion.interchange.reader import DEG_PER_UNIT, Channel, Unit, summarised
+from lss_motion.interchange.reader import (
+    DEG_PER_UNIT,
+    TENTHS_PER_DEG,
+    Channel,
+    Unit,
+    summarised,
+)
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 
 if TYPE_CHECKING:
@@ -113,15 +119,16 @@ def mapped(
     """Return the motion in degrees of joints of `robot`.
 
     Joints that the map does not contain keep their names; `sequence_for` checks these. An LSS id
-    becomes the joint that has this id. `is_unwrapped` removes the full turns of encoders that wrap;
-    without it a comment offers that. Raises `InputError` with every name of the map that does not
-    exist, and every unit that is not an angle.
+    becomes the joint that has this id, and `D` is counted as its servo counts it.
+    `is_unwrapped` removes the full turns of encoders that wrap; without it a comment offers that.
+    Raises `InputError` with every name of the map that does not exist, and every unit that is not
+    an angle.
     """
     entries = {} if motion_map is None else dict(motion_map.entries)
     if motion_map is not None:
         _check_map(motion_map, motion, robot)
     channels: list[Channel] = []
-    comments: list[str] = []
+    motion, comments = _counted_by_servos(motion, robot, entries)
     reasons: list[str] = []
     for channel in motion.channels:
         entry = entries.get(channel.name)
@@ -148,9 +155,41 @@ def mapped(
     return replace(motion, channels=tuple(channels), comments=(*motion.comments, *comments))
 
 
+def _counted_by_servos(
+    motion: ForeignMotion, robot: Robot, entries: Mapping[str, MapEntry]
+) -> tuple[ForeignMotion, list[str]]:
+    """Return the motion with `D` in the units of the servos, and a comment on those not of an LSS.
+
+    Which servo received a command is known by its id only, so the joint with this id decides, else
+    the one that the map names.
+    """
+    channels: list[Channel] = []
+    counted: dict[float, list[str]] = {}
+    for channel in motion.channels:
+        entry = entries.get(channel.name)
+        joint = _joint_with_id(channel, robot)
+        if joint is None and entry is not None and channel.servo_id is not None:
+            joint = robot.joints.get(entry.name or "")
+        ratio = 1.0 if joint is None else TENTHS_PER_DEG / joint.model.wire_per_deg
+        if joint is not None and ratio != 1.0:
+            counted.setdefault(joint.model.wire_per_deg, []).append(channel.name)
+        channels.append(replace(channel, values=ratio * channel.values))
+    comments = [
+        f"D of {', '.join(names)} is read in units of 1/{per_deg:g} deg, as the servos of this "
+        "robot count; if the commands were written for LSS servos, which count tenths, add "
+        f"`scale: {per_deg / TENTHS_PER_DEG:g}` in a map file (--make-map)."
+        for per_deg, names in counted.items()
+    ]
+    return replace(motion, channels=tuple(channels)), comments
+
+
 def _own_joint(channel: Channel, entry: MapEntry | None, robot: Robot) -> Joint | None:
     """Return the joint that has the id of an LSS channel, if exactly one joint has it."""
-    if channel.servo_id is None or entry is not None:
+    return None if entry is not None else _joint_with_id(channel, robot)
+
+
+def _joint_with_id(channel: Channel, robot: Robot) -> Joint | None:
+    if channel.servo_id is None:
         return None
     found = [joint for joint in robot.joints.values() if joint.servo_id == channel.servo_id]
     return found[0] if len(found) == 1 else None
@@ -278,7 +317,7 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
         f"# Joints of the robot: {', '.join(robot.joints)}",
         "joints:",
     ]
-    for channel in motion.channels:
+    for channel in _counted_by_servos(motion, robot, {})[0].channels:
         low, high = float(channel.values.min()), float(channel.values.max())
         joint = _guess(channel, robot)
         fields = [f"name: {json.dumps(joint, ensure_ascii=False)}"] if joint else ["skip: true"]
@@ -294,7 +333,10 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
             words.append("add scale: degrees per unit")
         elif channel.servo_id is not None and joint:
             own = robot.joints[joint]
-            fields += [f"sign: {own.direction}", f"offset_deg: {-own.direction * own.zero_deg:g}"]
+            fields += [
+                f"sign: {own.direction}",
+                f"offset_deg: {-own.direction * own.zero_deg + 0.0:g}",
+            ]
         key = json.dumps(channel.name, ensure_ascii=False)
         lines.append(f"  {key}: {{{', '.join(fields)}}}  # {_shown('; '.join(words))}")
     return "\n".join([*lines, ""])

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     IntArray = NDArray[np.int32]
 
 
+TENTHS_PER_DEG: Final = 10.0
+"""Unit of `D` of an LSS (FACTS.md C1)."""
+
 DIGITS: Final = 6
 """Decimals of times and angles: 1 us, and far below the resolution of a servo. Rounding also
 removes noise such as -58.00000000000001."""
@@ -83,7 +86,8 @@ class Channel:
     times_s: FloatArray
     values: FloatArray
     servo_id: int | None = None
-    """Id on the bus, in files with commands for LSS servos; `values` are then servo angles."""
+    """Id on the bus, in files with commands for LSS servos; `values` are then servo angles, as an
+    LSS counts them (`TENTHS_PER_DEG`). The text does not tell of which family the servo is."""
     lines: IntArray | None = None
     """Line of each value, in text files."""
 

@@ -26,9 +26,14 @@ if TYPE_CHECKING:
 
 
 SHIFTED_RATIO: Final = 2.5
-"""Given commands may take the servo so many tolerances from its reference. Chosen: commands for two
-servos at one instant wait for each other on the line, as those of a script do; 1.3 ms at 180 deg/s
-are 0.23 deg, and twice that where the next command is not shifted."""
+"""Given commands may take the servo so many tolerances from its reference, and twice as far as it
+travels at most in the time by which the line shifts one of them: a servo that turns back later is
+off by both ways. Chosen: commands for many servos at one instant wait for each other on the line,
+as those of a script do."""
+
+SHIFT_MAX_S: Final = 0.025
+"""The line may shift a given command by so much. Chosen: 18 commands at one instant take 23 ms at
+115200 bps."""
 
 
 class GivenMoves(NamedTuple):
@@ -73,9 +78,13 @@ def given_moves(
         if stop is None or own[-1].target_wire != segment.stop_wire:
             continue
         index = np.arange(segment.first, stop[1] + 1)
-        off_deg = profile.sample(reference.times_s(index)) - reference.position_deg[index]
-        is_near = np.abs(off_deg).max() <= SHIFTED_RATIO * limits[segment.joint].tolerance_deg
-        fits[at] = is_near and profile.end_s <= reference.time_s(stop[1]) + GRID_S
+        shift_s = float(np.abs((received_s - requested_s)[of_segment == at]).max())
+        asked_deg = reference.position_deg[index]
+        off_deg = np.abs(profile.sample(reference.times_s(index)) - asked_deg).max()
+        shifted_deg = 2.0 * shift_s * np.abs(np.diff(asked_deg)).max(initial=0.0) / GRID_S
+        is_near = off_deg <= SHIFTED_RATIO * limits[segment.joint].tolerance_deg + shifted_deg
+        is_over = profile.end_s <= reference.time_s(stop[1]) + shift_s + GRID_S
+        fits[at] = is_near and is_over and shift_s <= SHIFT_MAX_S
     chosen = np.flatnonzero(fits[of_segment])
     number = np.cumsum(fits) - 1
     kept = moves.take(chosen)

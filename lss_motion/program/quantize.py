@@ -10,6 +10,7 @@ import numpy as np
 from lss_motion.program.cones import ramped
 from lss_motion.program.reference_grid import DURATION_MAX_MS
 from lss_motion.program.response import States, durations_for, speeds_for
+from lss_motion.robot.profile import DURATION_MIN_MS
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
@@ -23,10 +24,6 @@ AIM_CANDIDATES: Final = 8
 """Number of neighbouring targets among which the one nearest to the requested speed is chosen."""
 SPEED_LEAST_DEG_S: Final = 0.01
 """A slower motion counts as standing still: a wire unit of 0.1° in ten seconds."""
-
-DURATION_MIN_MS: Final = 10
-"""The smallest T that is sent: two control ticks of the servo. Only a landing that comes back to
-where the profile is passing could need less, and a horn that is elsewhere would jerk."""
 
 
 def quantized(

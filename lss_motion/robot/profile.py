@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Joint, Response
 
+DURATION_MIN_MS: Final = 10
+"""The smallest T that is sent: two control ticks of the servo. Only a landing that comes back to
+where the profile is passing could need less, and a horn that is elsewhere would jerk."""
+
 EXACT_LAW_STEPS: Final = 40
 """Bisection steps for the travel speed under `t_law: exact`: 2⁻⁴⁰ of the top speed is far below
 what one wire unit can express."""
@@ -92,6 +96,16 @@ def travel_speed(
     """Return the travel speed of the servo for `D target T duration`, before its speed limit."""
     if response.t_law == "cruise":
         return abs(target_deg - start.position_deg) / duration_s
+    return least_travel_speed(start, target_deg, duration_s, ramp_deg_s2)
+
+
+def least_travel_speed(
+    start: Piece, target_deg: float, duration_s: float, ramp_deg_s2: float
+) -> float:
+    """Return the slowest travel speed with which a move from `start` ends within `duration_s`.
+
+    Where none does, it is above that of any servo.
+    """
     slow, fast = 0.0, 1e4
     for _ in range(EXACT_LAW_STEPS):
         middle = 0.5 * (slow + fast)

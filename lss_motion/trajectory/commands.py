@@ -4,8 +4,14 @@ The command leaves at the key before; its T is the time from there to the key. T
 constant speed and comes to rest on the angle, by its ramps later than at the key (`t_law: cruise`;
 with `exact`, at the key). The next command finds it where it is then, in motion or at rest.
 
-A servo can carry a command out if distance / T is within the speed limit and its ramp ends within
-T. Else the joint is asked to go from where it is to the angle, and to rest there at the key:
+A servo can carry a command out from where it is then, if the travel speed (distance / T) is within
+its limit and is reached within T, and the ramp to it costs no more than the distance itself: a
+servo that must first turn back would creep to its angle long after the key. Else the command gets
+another T: that with which the servo is at its angle at the key, or as soon as its limits allow. The
+next command finds it where it is then, so it is possible or not by that.
+
+A joint whose command cannot be left to the servo, because it must be at rest before another ease or
+the end of the show, is asked to go from where it is to the angle, and to rest there at the key:
 `keep_time` makes of that what the limits allow.
 """
 
@@ -14,12 +20,20 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.robot.profile import Piece, ramp_deg_s2, trapezoid, travel_speed
+from lss_motion.robot.profile import (
+    DURATION_MIN_MS,
+    Piece,
+    least_travel_speed,
+    ramp_deg_s2,
+    trapezoid,
+    travel_speed,
+)
 from lss_motion.trajectory.keys import PATH_DECIMALS, SAME_ANGLE_DEG
+from lss_motion.units import MS_PER_S, s_from_ms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,17 +45,28 @@ if TYPE_CHECKING:
 ROUNDING_RATIO: Final = 1e-9
 """A command this little beyond a limit is at it."""
 
+SURE_S: Final = 0.05
+"""A servo in motion gets another T only where it is this far, at its speed, from its angle: if the
+command arrives a millisecond late, its way and so its travel speed differ by 2 %. Chosen."""
+
+LATER_S: Final = 0.01
+"""Step in which a later instant is tried. Chosen: two control ticks of the servo."""
+
 
 @dataclass(frozen=True, slots=True)
 class CarriedOut:
     """What a servo makes of commands: its motion from the first of them to each rest, as cubics.
 
-    Command n leads from key `moves[n]` to the next one. `off_deg[n]`: how far from its angle the
-    servo could stop when the next command replaces it; 0 if it comes to rest there. `covered` are
-    the moves that the cubics contain: those, and moves that are asked for from a joint in motion.
+    Command n leads from key `moves[n]` to the next one; it is received at `received_s[n]` with the
+    T `durations_s[n]`, or is left out if that is 0. `off_deg[n]`: how far from its angle the servo
+    could stop when the next command replaces it, or is at the key if it cannot be there in time;
+    else 0. `covered` are the moves that the cubics contain: those, and moves that are asked for
+    from a joint in motion.
     """
 
     moves: NDArray[np.intp]
+    received_s: FloatArray
+    durations_s: FloatArray
     off_deg: FloatArray
     covered: NDArray[np.intp]
     starts_s: FloatArray
@@ -77,6 +102,8 @@ _NO_MOVES: Final = np.zeros(0, dtype=np.intp)
 _NO_TIMES: Final = np.zeros(0)
 NOTHING: Final = CarriedOut(
     moves=_NO_MOVES,
+    received_s=_NO_TIMES,
+    durations_s=_NO_TIMES,
     off_deg=_NO_TIMES,
     covered=_NO_MOVES,
     starts_s=_NO_TIMES,
@@ -102,21 +129,34 @@ def carried_out(
     if not is_command.any():
         return NOTHING
     moves = np.flatnonzero(np.abs(np.diff(deg)) > SAME_ANGLE_DEG).tolist()
+    end_s = max(end_s, float(left_s[-1]))
+    until_s = [*left_s[moves[1:]].tolist(), end_s]
     refused: set[int] = set()
     while True:
         servo, last, before = _Servo(joint), -1, len(refused)
-        for move in moves:
+        for move, next_s in zip(moves, until_s, strict=True):
             from_s, to_s = float(left_s[move]), float(reached_s[move + 1])
             if not is_command[move]:
                 refused |= set() if servo.rests(from_s) else {last}
                 continue
             last = move
             way_deg = float(deg[move]), float(deg[move + 1])
-            if move in refused or not servo.receive(move, from_s, to_s, way_deg):
+            span_s = from_s, to_s, next_s
+            if move in refused or not servo.receive(move, span_s, way_deg):
                 servo.hurry(move, from_s, to_s, way_deg[1])
-        refused |= set() if servo.rests(max(end_s, float(left_s[-1]))) else {last}
+        refused |= set() if servo.rests(end_s) else {last}
         if len(refused) == before:
             return servo.carried_out()
+
+
+class _Command(NamedTuple):
+    """A command of the author as the servo receives it. `off_deg`: see `CarriedOut`."""
+
+    move: int
+    received_s: float
+    target_deg: float
+    duration_s: float
+    off_deg: float
 
 
 class _Servo:
@@ -130,24 +170,36 @@ class _Servo:
         """Each with its end and the coefficient of its cube."""
         self._rest_s = -math.inf
         self._covered: list[int] = []
-        self._commands: list[tuple[int, float, float]] = []
-        """Move, target, and how far from it the servo could stop when it is replaced."""
+        self._commands: list[_Command] = []
+        self._left_out: list[_Command] = []
 
     def rests(self, at_s: float) -> bool:
         return self._rest_s <= at_s + 0.5 * 10.0**-PATH_DECIMALS
 
-    def receive(self, move: int, from_s: float, to_s: float, way_deg: tuple[float, float]) -> bool:
+    def receive(
+        self, move: int, span_s: tuple[float, float, float], way_deg: tuple[float, float]
+    ) -> bool:
         """Take a command from the first angle of `way_deg`, if at rest, to the second.
 
-        Returns False, and changes nothing, if the servo cannot carry it out.
+        `span_s`: when it is sent, its key, and when the next one is sent. Returns False, and
+        changes nothing, if it cannot be left to the servo.
         """
+        from_s, to_s, next_s = span_s
         is_rest, target_deg = self.rests(from_s), way_deg[1]
-        start = Piece(from_s, way_deg[0], 0.0, 0.0) if is_rest else self._state(from_s)
-        speed = travel_speed(start, target_deg, to_s - from_s, self._ramp, self._response)
         is_known = is_rest or self._response.retarget == "keep_speed"
-        if not (self._is_timed and is_known and self._cruises(start, target_deg, speed, to_s)):
+        if not (self._is_timed and is_known):
             return False
-        self._replace(from_s)
+        start = Piece(from_s, way_deg[0], 0.0, 0.0) if is_rest else self._state(from_s)
+        duration_s = to_s - from_s
+        speed = travel_speed(start, target_deg, duration_s, self._ramp, self._response)
+        is_possible = self._can_carry_out(start, target_deg, speed, duration_s)
+        if not is_possible:
+            start = self._sure(start, target_deg, next_s)
+            duration_s, speed = self._in_time(start, target_deg, to_s)
+            if start.start_s >= next_s:
+                return self._leave_out(move, span_s, target_deg)
+        self._covered.append(move)
+        self._replace(start.start_s)
         made = trapezoid(start, target_deg, min(speed, self._speed_max), self._ramp)
         starts_s = [round(piece.start_s, PATH_DECIMALS) for piece in made]
         for piece, start_s, end_s in zip(made, starts_s, starts_s[1:], strict=False):
@@ -155,11 +207,60 @@ class _Servo:
                 state = (*piece.at(start_s), piece.accel_deg_s2)
                 self._pieces.append((Piece(start_s, *state), end_s, 0.0))
         self._rest_s = starts_s[-1]
+        off_deg = 0.0
         if self._rest_s < to_s:  # It began in motion, or its T includes the ramps.
             self._pieces.append((Piece(self._rest_s, target_deg, 0.0, 0.0), to_s, 0.0))
-        self._covered.append(move)
-        self._commands.append((move, target_deg, 0.0))
+        elif not is_possible and not self.rests(to_s):
+            off_deg = target_deg - self._state(to_s).position_deg
+        self._commands.append(_Command(move, start.start_s, target_deg, duration_s, off_deg))
         return True
+
+    def _leave_out(self, move: int, span_s: tuple[float, float, float], target_deg: float) -> bool:
+        """Send no command for this move, if the next one comes before the servo rests."""
+        from_s, to_s, next_s = span_s
+        if self.rests(next_s):
+            return False
+        off_deg = target_deg - self._state(to_s).position_deg
+        self._covered.append(move)
+        self._left_out.append(_Command(move, from_s, target_deg, 0.0, off_deg))
+        return True
+
+    def _sure(self, start: Piece, target_deg: float, next_s: float) -> Piece:
+        """Return from where the servo can be given another T, `next_s` at the latest.
+
+        Where it passes its angle, its speed would depend on the millisecond in which the command
+        arrives.
+        """
+        while abs(target_deg - start.position_deg) < SURE_S * abs(start.speed_deg_s):
+            at_s = min(round(start.start_s + LATER_S, PATH_DECIMALS), next_s)
+            if self.rests(at_s):
+                return Piece(at_s, self._commands[-1].target_deg, 0.0, 0.0)
+            start = self._state(at_s)
+            if at_s == next_s:
+                break
+        return start
+
+    def _in_time(self, start: Piece, target_deg: float, to_s: float) -> tuple[float, float]:
+        """Return T and travel speed with which the servo rests as late as it may.
+
+        If it cannot be at its angle in time, it goes as fast as its limit allows.
+        """
+        within_s = max(to_s - start.start_s, 0.0)
+        speed = least_travel_speed(start, target_deg, within_s, self._ramp)
+        speed = min(speed, self._speed_max)
+        if self._response.t_law == "cruise":
+            needed_s = abs(target_deg - start.position_deg) / speed
+        else:
+            needed_s = trapezoid(start, target_deg, speed, self._ramp)[-1].start_s - start.start_s
+        shortest_ms = max(math.floor(MS_PER_S * needed_s), DURATION_MIN_MS)
+        shorter, longer = (
+            (
+                s_from_ms(ms),
+                travel_speed(start, target_deg, s_from_ms(ms), self._ramp, self._response),
+            )
+            for ms in (shortest_ms, shortest_ms + 1)
+        )
+        return shorter if shorter[1] <= self._speed_max else longer
 
     def hurry(self, move: int, from_s: float, to_s: float, target_deg: float) -> None:
         """Go from the motion at `from_s` to rest at `to_s`; from a rest, that is another ease."""
@@ -189,27 +290,31 @@ class _Servo:
         """Forget what was to come from `at_s` on."""
         if self.rests(at_s):
             return
-        move, target_deg, _ = self._commands[-1]
-        state = self._state(at_s)
+        before, state = self._commands[-1], self._state(at_s)
         stop_deg = state.position_deg + state.speed_deg_s * abs(state.speed_deg_s) / (
             2.0 * self._ramp
         )
-        self._commands[-1] = move, target_deg, target_deg - stop_deg
+        if not before.off_deg:
+            self._commands[-1] = before._replace(off_deg=before.target_deg - stop_deg)
         self._pieces = [part for part in self._pieces if part[0].start_s < at_s]
         piece, _, cube = self._pieces[-1]
         self._pieces[-1] = piece, at_s, cube
 
-    def _cruises(self, start: Piece, target_deg: float, speed: float, to_s: float) -> bool:
-        """Return whether the servo comes to its travel speed, and before the command is to end."""
+    def _can_carry_out(
+        self, start: Piece, target_deg: float, speed: float, duration_s: float
+    ) -> bool:
+        """Return whether the servo comes to its travel speed, within T, and does not creep."""
         v0, ramp = start.speed_deg_s, self._ramp
         stop_deg = start.position_deg + v0 * abs(v0) / (2.0 * ramp)
         sign = 1.0 if target_deg >= stop_deg else -1.0
-        square = ramp * sign * (target_deg - start.position_deg) + 0.5 * v0 * v0
+        way_deg = sign * (target_deg - start.position_deg)
         ramp_s, slack = abs(speed - sign * v0) / ramp, 1.0 + ROUNDING_RATIO
+        is_exact = self._response.t_law == "exact"
         return (
             speed <= slack * self._speed_max
-            and speed * speed <= slack * square
-            and ramp_s <= slack * (to_s - start.start_s)
+            and speed * speed <= slack * (ramp * way_deg + 0.5 * v0 * v0)
+            and ramp_s <= slack * duration_s
+            and (is_exact or 0.5 * ramp * ramp_s * ramp_s <= slack * abs(way_deg))
         )
 
     def carried_out(self) -> CarriedOut:
@@ -218,9 +323,12 @@ class _Servo:
             [piece.position_deg, piece.speed_deg_s, 0.5 * piece.accel_deg_s2, cube]
             for piece, _, cube in self._pieces
         ]
+        commands = sorted([*self._commands, *self._left_out])
         return CarriedOut(
-            moves=np.array([move for move, _, _ in self._commands], dtype=np.intp),
-            off_deg=np.array([off_deg for _, _, off_deg in self._commands]),
+            moves=np.array([command.move for command in commands], dtype=np.intp),
+            received_s=np.array([command.received_s for command in commands]),
+            durations_s=np.array([command.duration_s for command in commands]),
+            off_deg=np.array([command.off_deg for command in commands]),
             covered=np.array(self._covered, dtype=np.intp),
             starts_s=np.array([piece.start_s for piece, _, _ in self._pieces]),
             ends_s=np.array([end_s for _, end_s, _ in self._pieces]),

@@ -285,16 +285,19 @@ def _commands(
         keys = layout.keys[joint.name]
         servo = layout.robot.joints[joint.name]
         done = commands_of(keys, servo, layout.spacing.length_s)
-        for move, off_deg in zip(done.moves.tolist(), done.off_deg.tolist(), strict=True):
+        columns = (done.moves, done.received_s, done.durations_s, done.off_deg)
+        for move, received_s, duration_s, off_deg in zip(
+            *(column.tolist() for column in columns), strict=True
+        ):
             from_s, to_s = float(keys.left_s[move]), float(keys.reached_s[move + 1])
             if joint.is_changed(from_s, to_s):
                 continue
             asked_deg = float(keys.deg[move + 1])
-            found.append(
-                CommandedMove(
-                    at_s=from_s, joint=joint.name, deg=asked_deg, duration_s=to_s - from_s
+            if duration_s > 0.0:
+                move_made = CommandedMove(
+                    at_s=received_s, joint=joint.name, deg=asked_deg, duration_s=duration_s
                 )
-            )
+                found.append(move_made)
             if abs(off_deg) > GIVEN_UP_MIN_DEG:
                 line_deg = float(keys.deg[move]), asked_deg
                 left_out.append(joint.left_out((from_s, to_s), line_deg, asked_deg - off_deg))

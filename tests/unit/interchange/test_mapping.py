@@ -10,6 +10,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.interchange import Channel, ForeignMotion, Unit, load_map, map_template, mapped
+from lss_motion.robot.servo_models import SERVO_MODELS
 
 MOTION_PATH = Path("dance.json")
 
@@ -31,6 +32,18 @@ def motion(*channels: tuple[str, Unit, list[float]], is_recording: bool = False)
         notes={},
         is_recording=is_recording,
     )
+
+
+def test_d_is_counted_as_the_servo_with_that_id_counts_it(arm) -> None:
+    pro = replace(arm.joints["base"], servo_id=1, model=SERVO_MODELS["LSS-P-S1"])
+    robot = replace(arm, joints={**arm.joints, "base": pro})
+    content = motion(("ID1", Unit.DEG, [0.0, 300.0]), ("ID9", Unit.DEG, [0.0, 300.0]))
+    made = mapped(replace(content, channels=content.channels[:1]), robot, None)
+    (name,) = angles(made)
+    assert angles(made)[name] == [0.0, 30.0]
+    assert made.comments[-1].startswith("D of ID1 is read in units of 1/100 deg")
+    assert "`scale: 10`" in made.comments[-1]
+    assert "# 0 to 30 deg" in map_template(content, robot)
 
 
 def angles(made: ForeignMotion) -> dict[str, list[float]]:

@@ -108,14 +108,48 @@ def test_a_turn_that_comes_before_its_angle_is_named(arm) -> None:
 TOO_FAST = [(0.5, 30.0, 1.0), (2.0, -40.0, 0.1), (3.0, 0.0, 1.0)]
 
 
-def test_a_command_that_is_too_fast_costs_angle_and_its_neighbours_stay(arm) -> None:
+def test_a_command_that_is_too_fast_gets_the_least_t_and_its_neighbours_stay(arm) -> None:
     trajectory = plan(script(*TOO_FAST), arm)
-    assert [move.at_s for move in trajectory.commands] == [0.5, 3.0]
+    speed_max_deg_s = arm.joints["base"].speed_max_deg_s
+    least_s = np.ceil(1e3 * 70.0 / speed_max_deg_s) / 1e3
+    made = [(move.at_s, move.deg, move.duration_s) for move in trajectory.commands]
+    np.testing.assert_allclose(made, [(0.5, 30, 1), (2, -40, least_s), (3, 0, 1)], atol=1e-9)
     (span,) = trajectory.given_up
-    assert 1.5 < span.from_s < 2.1 < span.to_s < 3.0
+    assert (span.from_s, span.to_s) == (2.0, 2.1)
+    at_key_deg = trajectory.sample(np.array([2.1]))[0, 0]
+    assert span.by_deg == pytest.approx(at_key_deg + 40.0)
     assert trajectory.duration_s == pytest.approx(4.5)
     at_s = np.array([1.55, 2.98, 3.0])
     np.testing.assert_allclose(trajectory.sample(at_s)[:, 0], [30.0, -40.0, -40.0], atol=1e-6)
+
+
+IN_THE_WAY = [(0.5, 60.0, 0.8), (1.3, 54.0, 0.6), (2.2, 0.0, 0.9)]
+"""The second command comes when its servo is at its angle, in motion; it would creep back to it."""
+
+
+@pytest.mark.parametrize("law", ["cruise", "exact"])
+def test_the_servo_turns_back_for_a_command_that_it_passes_and_does_not_creep(arm, law) -> None:
+    robot = with_response(arm, t_law=law)
+    trajectory = plan(script(*IN_THE_WAY), robot)
+    moves = [(move.at_s, move.deg, move.duration_s) for move in trajectory.commands]
+    np.testing.assert_allclose([moves[0], moves[2]], [IN_THE_WAY[0], IN_THE_WAY[2]])
+    assert moves[1][1] == 54.0
+    times_s = np.arange(0.0, trajectory.duration_s, 0.001)
+    own = simulated(robot.joints["base"], moves, times_s)
+    np.testing.assert_allclose(trajectory.sample(times_s)[:, 0], own, atol=1e-5)
+    assert trajectory.sample(np.array([1.9]))[0, 0] == pytest.approx(54.0, abs=0.02)
+
+
+def test_a_command_that_the_next_replaces_before_a_t_helps_is_left_out(arm) -> None:
+    """The servo passes the angle when the command comes, and 20 ms later comes the next one."""
+    first = (0.5, 60.0, 0.6)
+    passed_deg = float(plan(script(first), arm).sample(np.array([1.1]))[0, 0])
+    trajectory = plan(script(first, (1.1, passed_deg, 0.02), (1.12, 0.0, 1.2)), arm)
+    assert [move.deg for move in trajectory.commands] == [60.0, 0.0]
+    moves = [(move.at_s, move.deg, move.duration_s) for move in trajectory.commands]
+    times_s = np.arange(0.0, trajectory.duration_s, 0.001)
+    own = simulated(arm.joints["base"], moves, times_s)
+    np.testing.assert_allclose(trajectory.sample(times_s)[:, 0], own, atol=1e-5)
 
 
 def test_a_command_after_which_the_show_ends_at_once_is_not_left_to_the_servo(arm) -> None:
