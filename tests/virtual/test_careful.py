@@ -18,7 +18,7 @@ from lss_motion.sim.physics import TICK_NS
 
 ROBOT = """
 robot: bench
-buses: {main: {port: "sim://"}}
+buses: {main: {port: "sim://", firmware: %s}}
 defaults: {model: LSS-ST1, range_deg: [-90, 60], speed_max_deg_s: 180, accel_max_deg_s2: 600}
 joints:
   pan: {id: 3, direction: -1, %s}
@@ -32,9 +32,9 @@ FEW_DEG = 5.5
 class Bench:
     """One joint on a simulated bus, and its careful run."""
 
-    def __init__(self, tmp_path, *faults, joint="following_deg: 10"):
+    def __init__(self, tmp_path, *faults, joint="following_deg: 10", firmware=780):
         path = tmp_path / "robot.yaml"
-        path.write_text(ROBOT % joint)
+        path.write_text(ROBOT % (firmware, joint))
         self.robot = load_robot(path)
         self.joint = self.robot.joints["pan"]
         self.connection = connect(
@@ -155,6 +155,11 @@ def test_the_units_of_an_lss_pro_are_found_by_its_angles_and_its_speed(tmp_path,
     assert bool(careful.found) is not bool(faults)
     assert np.abs(bench.horn_deg() - bench.standing_deg).max() < FEW_DEG
     assert bench.speeds_deg_s().max() <= (46.0 if len(faults) > 1 else 18.1)
+
+
+def test_an_older_lss_pro_that_holds_is_in_no_error(tmp_path):
+    """Code 6 is `holding` up to firmware 779, and `error` from 780 on."""
+    assert Bench(tmp_path, joint=PRO, firmware=779).run().error is None
 
 
 @pytest.mark.parametrize("kind", ["lost_reply", "corrupt_reply", "double_reply"])

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lss_motion as lss
+from lss_motion.maintenance.hands_on import HandsOn
+from lss_motion.player.events import Faulted
+from lss_motion.robot.servo_models import SERVO_MODELS
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot
 
@@ -105,3 +110,32 @@ def test_what_is_no_robot_or_no_name_is_refused_in_words(robot):
         with pytest.raises(lss.InputError, match="names one by one"):
             live.limp(["j0", "j1"])
         assert "-0.0" not in str(live.read())
+
+
+class StopAfter:
+    """Ends what runs after so long."""
+
+    def __init__(self, duration_s):
+        self.duration_s, self.began_ns = duration_s, None
+
+    def filenos(self):
+        return []
+
+    def act(self, driven, now_ns):
+        self.began_ns = now_ns if self.began_ns is None else self.began_ns
+        if now_ns - self.began_ns > self.duration_s * S:
+            driven.stop()
+
+
+@pytest.mark.parametrize("firmware", [779, 780])
+def test_an_lss_pro_that_holds_is_in_no_error_whatever_its_firmware(firmware):
+    """Code 6 is `holding` up to firmware 779 and `error` from 780 on."""
+    robot = make_robot(1, baud_bps=115200, model=SERVO_MODELS["LSS-P-S1"])
+    bus = replace(robot.buses["bus0"], pro_firmware=firmware)
+    events = []
+    with lss.connect(replace(robot, buses={"bus0": bus}), is_virtual=True) as live:
+        live.move_to({"j0": 10.0}, 1.0)
+        hands_on = HandsOn(live.robot, list(live.robot.joints))
+        live._connection.run(hands_on, controls=StopAfter(3.0), on_event=events.append)
+        assert live.read()["j0"] == pytest.approx(10.0, abs=0.5)
+    assert not [event for event in events if isinstance(event, Faulted)]

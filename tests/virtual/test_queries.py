@@ -13,9 +13,10 @@ import pytest
 import lss_motion as lss
 from lss_motion.perform import Observer, perform
 from lss_motion.player.estimators import DisturbanceEstimator
-from lss_motion.player.events import MarkPassed, Warned
+from lss_motion.player.events import Faulted, MarkPassed, Warned
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.protocol.lss_pro import PRO_TABLE
+from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, Turnaround
@@ -161,6 +162,27 @@ def test_an_lss_pro_gets_only_queries_of_its_document_and_answers_all(stage, kit
     assert bus.replies > 150
     asked = {word for line in played.lines() if (word := line.decode()[2:-1]).startswith("Q")}
     assert {"Q", "QT", "QC", "QD"} <= asked <= set(PRO_TABLE.by_keyword)
+
+
+@pytest.mark.parametrize(
+    ("assumed", "own", "faults", "causes"),
+    [
+        (780, 779, [], set()),
+        (779, 780, [Fault(kind=FaultKind.STUCK, servo_id=1, at_s=2.0)], {Cause.ERROR}),
+    ],
+)
+def test_the_firmware_of_the_servo_tells_an_error_from_holding(
+    stage, kit, assumed, own, faults, causes
+):
+    """Code 6 of an LSS-PRO is `holding` up to 779, `error` from 780 on, whatever the file has."""
+    there = kit.robot(2, baud_bps=BAUD_BPS, model=SERVO_MODELS["LSS-P-S1"], following_deg=90.0)
+    bus = there.buses["bus0"]
+    robot, wired = (
+        replace(there, buses={"bus0": replace(bus, pro_firmware=firmware)})
+        for firmware in (assumed, own)
+    )
+    played = stage.play(robot, kit.sequence(2, 4.0), wired=wired, faults=faults)
+    assert {event.kind for event in played.events if isinstance(event, Faulted)} == causes
 
 
 class Until:

@@ -115,6 +115,18 @@ def test_the_condition_of_all_three_families_is_read(connected, spec):
     assert looks[209].status is None
 
 
+def test_the_status_of_a_pro_is_read_by_its_own_firmware(connected, spec):
+    """Holding is code 6 up to firmware 779, and 5 from 780 on."""
+    connection = connected(
+        spec(1, "LSS-P-S1", firmware=779, eeprom={"FD": 0}),
+        spec(2, "LSS-P-S1", firmware=780, eeprom={"FD": 0}),
+    )
+    looks = survey(connection, connection.buses["main"], 115200)
+    assert {look.firmware: look.status for look in looks} == dict.fromkeys(
+        (779, 780), Status.HOLDING
+    )
+
+
 @pytest.mark.parametrize(
     ("line", "every_s"), [("#5QD", 0.05), ("#5QD", 0.1), ("#5QMS", 0.1), ("#5QV", 0.37)]
 )
