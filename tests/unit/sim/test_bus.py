@@ -4,6 +4,7 @@ import pytest
 
 from lss_motion.protocol.framing import ReplyParser
 from lss_motion.sim.physics import Physics, Turnaround
+from lss_motion.units import line_time_ns
 
 SLOW = Turnaround(single_min_ns=1_500_000, single_max_ns=1_500_000)
 BYTE_NS = 86_806  # at 115200 bps, rounded up
@@ -92,7 +93,7 @@ def test_text_ends_its_line_in_a_group(make_host, make_servo):
     assert host.ask("#1QMS0QG0#2QG") == "*1QMSLSS-ST1|*1QG1|*2QG1|"
 
 
-@pytest.mark.parametrize("baud_bps", [115200, 500000, 921600])
+@pytest.mark.parametrize("baud_bps", [9600, 115200, 500000, 921600])
 @pytest.mark.parametrize("protocol", [0, 1])
 def test_two_replies_fit_into_one_slot_at_every_rate(make_host, make_servo, baud_bps, protocol):
     host = make_host(*(make_servo(number) for number in (3, 9, 12)), baud_bps=baud_bps)
@@ -100,7 +101,10 @@ def test_two_replies_fit_into_one_slot_at_every_rate(make_host, make_servo, baud
         host.say(line)
     end = "" if protocol else "|"
     texts = [re.escape(f"*{number}QV") + r"1\d{4}T250" for number in (9, 3, 12)]
+    began_ns = host.now_ns
     assert re.fullmatch(re.escape(end).join(texts) + re.escape("|"), host.ask("#254QV0QT0"))
+    least_ns = line_time_ns(11 + 3 * 24, baud_bps)
+    assert host.now_ns - began_ns < 1_000_000 + least_ns, "a slot is no wider than replies need"
 
 
 def test_the_servos_of_a_group_leave_a_gap(make_host, make_servo):
