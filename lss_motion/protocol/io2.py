@@ -31,15 +31,16 @@ BAUD_MAX_BPS: Final = 500000
 """FACTS.md B3: a 2IO cannot join a faster bus."""
 
 PIN_IDS: Final[Mapping[str, int]] = {
-    "MASTER": 207,
-    "A3": 203,
-    "A4": 204,
-    "A5": 205,
     "D9": 209,
     "D10": 210,
     "D11": 211,
+    "A3": 203,
+    "A4": 204,
+    "A5": 205,
+    "MASTER": 207,
 }
-"""FACTS.md B1. The master replies `LSS-2IO-LED` to `QMS`, the other pins `LSS-2IO-<pin>` (B2)."""
+"""FACTS.md B1, in the order in which the board looks for an id (B22). The master replies
+`LSS-2IO-LED` to `QMS`, the other pins `LSS-2IO-<pin>` (B2)."""
 
 OUTPUT_MIN_US: Final = 544
 OUTPUT_MAX_US: Final = 2400

@@ -62,6 +62,9 @@ OUTPUT_MID_US: Final = (OUTPUT_MIN_US + OUTPUT_MAX_US) / 2
 VALUE_MISSING: Final[Mapping[str, int]] = MappingProxyType({"D": 0, "P": 0, "LED": 0, "A": 0})
 """What the board takes for a value that is missing (FACTS.md B5)."""
 
+_UNANSWERED_IDS: Final = (0, BROADCAST_ID)
+"""Ids whose queries are obeyed by QMS only (FACTS.md B13, B22)."""
+
 _SECTION: Final = re.compile(rb"#([0-9]+)([A-Za-z]+)(-?[0-9]+)?")
 """The part of a section that the board reads; it ignores what follows (FACTS.md B5)."""
 
@@ -225,10 +228,10 @@ class Board:
         return Command(int(match[1]), match[2].decode("ascii").upper(), value)
 
     def meant(self, servo_id: int) -> list[Pin]:
-        """Return the pins that an id addresses."""
+        """Return the pins that an id addresses: the first that has it (FACTS.md B22)."""
         if servo_id == BROADCAST_ID:
             return self.pins
-        return [pin for pin in self.pins if pin.servo_id == servo_id]
+        return [pin for pin in self.pins if pin.servo_id == servo_id][:1]
 
     def obey(self, pin: Pin, command: Command, now_ns: int) -> Reply | None:
         """Execute a command on one pin; return the reply to a query.
@@ -246,22 +249,10 @@ class Board:
             return None
         value = command.value if isinstance(command.value, int) else None
         if form is Form.QUERY:
-            is_answered = not is_broadcast or row.name == "MS"
+            is_answered = row.name == "MS" or command.servo_id not in _UNANSWERED_IDS
             answer = self._value(pin, row, value) if is_answered else None
             return None if answer is None else Reply(pin.servo_id, command.keyword, answer)
-        if value is None and row.name in VALUE_MISSING:
-            value = VALUE_MISSING[row.name]
-        match row.name:
-            case "RESET":
-                self.reset(now_ns)
-            case "DEFAULT":
-                self._restore_factory(now_ns)
-            case "L":
-                self._release(pin, now_ns)
-            case _:
-                kept = None if value is None else row.kept(value)
-                if kept is not None:
-                    self._set(pin, row.name, kept, now_ns, is_config=form is Form.CONFIG)
+        self._execute(pin, row, value, now_ns, is_config=form is Form.CONFIG)
         return None
 
     def reset(self, now_ns: int) -> None:
@@ -288,9 +279,28 @@ class Board:
             pin.config_gyre, pin.config_mode = 1, 0
         self.reset(now_ns)
 
+    def _execute(
+        self, pin: Pin, row: Row, value: int | None, now_ns: int, *, is_config: bool
+    ) -> None:
+        """Execute an action or a configuration."""
+        value = VALUE_MISSING.get(row.name) if value is None else value
+        match row.name, value:
+            case "RESET", _:
+                self.reset(now_ns)
+            case "DEFAULT", _:
+                self._restore_factory(now_ns)
+            case "L", _:
+                self._release(pin, now_ns)
+            case "D", int():  # The board bounds what it computes from it.
+                self._aim(pin, "D", value, now_ns)
+            case _, int() if (kept := row.kept(value)) is not None:
+                self._set(pin, row.name, kept, now_ns, is_config=is_config)
+            case _:
+                pass
+
     def _set(self, pin: Pin, name: str, value: int, now_ns: int, *, is_config: bool) -> None:
         match name:
-            case "D" | "P":
+            case "P":
                 self._aim(pin, name, value, now_ns)
             case "AM":
                 pin.mode = pin.config_mode = value
@@ -310,10 +320,15 @@ class Board:
                 self.baud_bps = value
 
     def _aim(self, pin: Pin, name: str, value: int, now_ns: int) -> None:
-        """Send an output's pulse for D or P; the gyre mirrors D only (FACTS.md B9)."""
+        """Send an output's pulse for D or P; the gyre mirrors D only (FACTS.md B9).
+
+        The library of the sketch takes a number of degrees from 544 on for a pulse (FACTS.md B6).
+        """
         if name == "D":
-            written_deg = min(max((pin.gyre * value + 900) * DEG_MAX // 1800, 0), DEG_MAX)
-            value = OUTPUT_MIN_US + written_deg * OUTPUT_SPAN_US // DEG_MAX
+            value = (pin.gyre * value + 900) * DEG_MAX // 1800
+            if value < OUTPUT_MIN_US:
+                written_deg = min(max(value, 0), DEG_MAX)
+                value = OUTPUT_MIN_US + written_deg * OUTPUT_SPAN_US // DEG_MAX
         self._jump(pin, min(max(value, OUTPUT_MIN_US), OUTPUT_MAX_US), now_ns)
 
     def _value(self, pin: Pin, row: Row, suffix: int | None) -> int | str | None:
@@ -365,7 +380,7 @@ class Board:
         if self.random.random() < OVERRUN_JUMP_RATIO:
             outputs = [pin for pin in self.pins if pin.device is Device.SERVO]
             pin = self.random.choice(outputs)
-            self._set(pin, "D", self.random.randint(-900, 900), now_ns, is_config=False)
+            self._aim(pin, "D", self.random.randint(-900, 900), now_ns)
 
 
 def _device(name: str) -> Device:

@@ -87,7 +87,8 @@ class SimBus:
         """When each servo lost its session: the instants of its `reset` faults."""
         self.stored_ns: list[list[tuple[int, Mapping[str, int]]]] = [[] for _ in servos]
         """When each servo got other settings: its `stored` faults, with wire values by name."""
-        self._is_ordered = firmware >= ORDERED_FIRMWARE
+        families = {spec.model.family for spec in servos}
+        self._is_ordered = firmware >= ORDERED_FIRMWARE and families != {Family.LSS_PRO}
         self._parser = CommandParser(grouped=self._is_ordered)
         self._adapter = Adapter(usb_latency_ns)
         self._host_line = HostLine(baud_bps)

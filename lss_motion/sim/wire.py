@@ -386,7 +386,8 @@ class Answering:
         turnaround, command, servo = self._turnaround, answer.command, answer.talker
         is_slotted = self._is_ordered and command.servo_id == BROADCAST_ID
         if is_slotted and isinstance(servo, Servo):
-            if command.keyword == "QID" and isinstance(command.value, int):
+            is_delayed = servo.settings.row("ID").suffix_is_delay and command.keyword == "QID"
+            if is_delayed and isinstance(command.value, int):
                 slot_ns = command.value * 1000 * servo.servo_id
                 return received_ns + turnaround.broadcast_ns + slot_ns
             if servo.settings.number("SLOTCOUNT"):

@@ -7,17 +7,18 @@ shortened), and one of
     test     the test that checks it: `file.py::name` below `tests`
     decided  the reason why nothing is checked, or why another thing is
 
-Steps: `> LINE` sends; `? LINE = REPLY` compares all that comes back (CR as `|`); `? LINE ~ N ± M`
-compares the number of the reply; `wait S`; `horn DEG` and `turns DEG/S` judge the simulated horn,
-`limp` and `holds` its motor, `lamp COLOUR [blinking]` its LED; `power` switches off and on; `pulse
-US` and `pulse off` are RC pulses. `servo` gives what the servo is: `model`, `id`, `firmware`,
-`start` (degrees), `twin` (id of a second one), `physics`, `stuck`, `stored`.
+Steps: `> LINE` sends a line, `raw BYTES` sends no CR but `|`; `? LINE = REPLY` compares all that
+comes back (CR as `|`; several lines are sent at once); `? LINE ~ N ± M` the number of the reply;
+`rate BPS` sets that of the host; `wait S`; `horn DEG` and `turns DEG/S` judge the simulated horn,
+`horns DEG DEG` that of the second servo too, `limp` and `holds` its motor, `lamp COLOUR [blinking]`
+its LED; `power` switches off and on; `pulse US` and `pulse off` are RC pulses. `servo` gives what
+the servo is: `model`, `id`, `firmware`, `start` (degrees), `twin` (id of a second one), `physics`,
+`stuck`, `stored`.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from typing import Any
 import pytest
 import yaml
 
+import lss_motion
 from lss_motion.protocol.constants import Family, Led
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus
@@ -33,6 +35,7 @@ from lss_motion.sim.physics import Physics, ServoSpec
 
 TESTS = Path(__file__).resolve().parents[1]
 DOCUMENTS = {"lss": "LSS-HS1", "lss_pro": "LSS-P-S1", "lss_2io": "LSS-2IO"}
+TITLES = {"lss": "LSS", "lss_pro": "PRO", "lss_2io": "2IO"}
 WITHIN_DEG = 0.15
 
 
@@ -98,12 +101,13 @@ class Bench:
         self._ids = [int(stored["ID"]) for stored in self._stored]
         self._power_on()
 
-    def send(self, line: str) -> None:
-        self.bus.write(f"{line}\r".encode(), self.now_ns)
-        self.wait_s(0.01)
+    def send(self, text: str) -> None:
+        """Send bytes; `|` is CR."""
+        self.bus.write(text.replace("|", "\r").encode(), self.now_ns)
+        self.wait_s(max(0.01, self.bus.backlog_ns(self.now_ns) / 1e9 + 0.002))
 
     def ask(self, line: str) -> str:
-        self.bus.write(f"{line}\r".encode(), self.now_ns)
+        self.bus.write(f"{line}|".replace("|", "\r").encode(), self.now_ns)
         received = b""
         while (end_ns := self.bus.next_arrival_ns()) is not None:
             self.now_ns = max(self.now_ns, end_ns)
@@ -120,7 +124,11 @@ class Bench:
         word, _, rest = text.partition(" ")
         match word:
             case ">":
+                self.send(f"{rest}|")
+            case "raw":
                 self.send(rest)
+            case "rate":
+                self.bus.set_host_rate(int(rest), self.now_ns)
             case "?":
                 self._compare(rest)
             case "wait":
@@ -149,8 +157,10 @@ class Bench:
         """Compare the first servo itself."""
         motors = self.bus.motors
         match word:
-            case "horn":
-                assert motors.horn_deg(0, self.now_ns) == pytest.approx(float(rest), abs=WITHIN_DEG)
+            case "horn" | "horns":
+                for index, wanted_deg in enumerate(map(float, rest.split())):
+                    horn_deg = motors.horn_deg(index, self.now_ns)
+                    assert horn_deg == pytest.approx(wanted_deg, abs=WITHIN_DEG)
             case "turns":
                 deg_s = motors.horn_deg_s(0, self.now_ns)
                 assert deg_s == pytest.approx(float(rest), abs=max(0.5, 0.01 * abs(float(rest))))
@@ -192,15 +202,14 @@ def test_every_named_test_exists(document):
             assert re.search(rf"^def {re.escape(name)}\(", text, re.MULTILINE), row
 
 
-def test_the_count_of_the_sentences(capsys):
-    lines = []
+def test_the_count_of_the_sentences_is_that_of_the_facts():
+    facts = (Path(lss_motion.__file__).parent / "FACTS.md").read_text(encoding="utf-8")
     for document, rows in ROWS.items():
         counts = Counter(kind for row in rows for kind in ("do", "test", "decided") if kind in row)
-        lines.append(
-            f"{document}: {len(rows)} sentences, {counts['do']} executed, {counts['test']} by "
-            f"named tests, {counts['decided']} decided"
+        line = (
+            f"| {TITLES[document]} | {len(rows)} | {counts['do']} | {counts['test']} |"
+            f" {counts['decided']} |"
         )
+        assert line in facts.splitlines()
         assert counts["do"] > len(rows) / 2
         assert [row["line"] for row in rows] == sorted(row["line"] for row in rows)
-    with capsys.disabled():
-        sys.stdout.write("\n" + "\n".join(lines) + "\n")

@@ -72,7 +72,10 @@ def test_pulses_are_clamped_and_remembered(board):
         assert board.ask("#211QP") == f"*211QP{said}|"
 
 
-@pytest.mark.parametrize(("asked", "pulse_us"), [(0, 1472), (900, 2400), (-900, 544), (457, 1936)])
+@pytest.mark.parametrize(
+    ("asked", "pulse_us"),
+    [(0, 1472), (900, 2400), (-900, 544), (457, 1936), (4539, 2400), (4540, 544), (5000, 590)],
+)
 def test_degrees_are_pulses_of_544_to_2400_us(board, asked, pulse_us):
     board.say(f"#209D{asked}")
     assert board.ask("#209QP") == f"*209QP{pulse_us}|"
@@ -148,6 +151,24 @@ def test_a_model_query_to_all_is_answered_by_every_device(board):
     assert sorted(names) == ["", *(f"*{n}QMSLSS-2IO-{name}" for n, name in (
         (203, "A3"), (204, "A4"), (205, "A5"), (207, "LED"), (209, "D9"), (210, "D10"), (211, "D11")
     ))]  # fmt: skip
+
+
+def test_of_two_pins_with_one_id_only_the_first_acts_and_answers(board):
+    for line in ("#210CID203", "#211CID203"):
+        board.say(line)
+    assert board.ask("#203QMS") == "*203QMSLSS-2IO-D10|"
+    board.say("#203D450")
+    board.wait_s(1.0)
+    assert [board.horn_deg(index) for index in range(3)] == pytest.approx([0.0, 45.0, 0.0], abs=0.1)
+
+
+def test_a_pin_with_id_0_acts_and_answers_its_model_only(board):
+    board.say("#209CID0")
+    board.say("#0D450")
+    board.wait_s(1.0)
+    assert board.horn_deg() == pytest.approx(45.0, abs=0.1)
+    assert board.ask("#0QD") == board.ask("#0QID") == ""
+    assert board.ask("#0QMS") == "*0QMSLSS-2IO-D9|"
 
 
 @pytest.mark.parametrize("line", ["#254CG-1", "#254CLED5", "#254CB9600", "#254CID9", "#254CA4"])
