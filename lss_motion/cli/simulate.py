@@ -25,12 +25,12 @@ to them. Prints the path of each port and runs until Ctrl-C.
   lss-play show.yaml --port /tmp/robot             in another terminal
 
 Simulated: the bus (baud rate, ten bits a byte, turnaround, colliding replies, group lines and
-slots of firmware 370), every documented command and query, ramps and the EM0 filter, lag, load,
-backlash, top speed by voltage, currents, heat, stalls and safe mode.
-Not simulated: inertia of the load, noise without a fault or a collision, the start-up sequence of
-the LED, RC pulses, EEPROM wear, the acceleration sensors of LSS-PRO (they report 0), LSS-2IO boards
-with other sketches than 2RC. Physical values are those of the documents; where these give none,
-lss_motion.sim.physics marks an assumption.
+slots of firmware 370, replies that firmware up to 368 damages now and then), every documented
+command and query, ramps and the EM0 filter, lag, load, backlash, top speed by voltage, currents,
+heat, stalls and safe mode. A servo in RC mode gets no pulses; 30 s without a byte end that mode.
+Not simulated: inertia of the load, the start-up sequence of the LED, EEPROM wear, the acceleration
+sensors of LSS-PRO (they report 0), LSS-2IO boards with other sketches than 2RC. Physical values are
+those of the documents; where these give none, lss_motion.sim.physics marks an assumption.
 """
 
 
