@@ -27,7 +27,12 @@ from lss_motion.trajectory.closest_spline import (
 )
 from lss_motion.trajectory.curves import shifted
 from lss_motion.trajectory.model import AskedSpan, GivenUp, MissedKey
-from lss_motion.trajectory.reserve import AT_LIMIT_RATIO, BREAK_S, RELENTLESS_S, RELENTLESS_SHARE
+from lss_motion.trajectory.reserve import (
+    AT_LIMIT_RATIO,
+    BREAK_S,
+    RELENTLESS_S,
+    RELENTLESS_SHARE_KEPT,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -301,7 +306,7 @@ class JointFollower:
             shares = before.copy()
             for first, end in near_runs(is_at_limit, self.grid.cells_of(BREAK_S)):
                 if (end - first) * wanted.cell_s > RELENTLESS_S:
-                    shares[first:end] = RELENTLESS_SHARE
+                    shares[first:end] = RELENTLESS_SHARE_KEPT
             if np.array_equal(shares, before):
                 return found
             wanted = replace(wanted, accel_shares=shares)

@@ -381,7 +381,7 @@ def _retimed(
     else:
         dues = Dues(authored=lambda path_s: path_s, held=_held(total), anchors_s=_anchors_s(total))
 
-        def follow(task: RateTask) -> tuple[list[RateWindow], PathClock]:
+        def follow(task: RateTask, _: object) -> tuple[list[RateWindow], PathClock]:
             found = timed_windows(task, dues)
             return found, authored_clock(task.path, found, (), dues)
 

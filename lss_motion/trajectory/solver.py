@@ -219,26 +219,37 @@ def solve(
     *,
     start_max: float = math.inf,
     end_max: float = math.inf,
+    known: RateWindow | None = None,
 ) -> RateWindow:
     """Return the largest rates between two path positions, repaired until limits hold.
 
-    `start_max` and `end_max` bound the squared rates at the ends. An excess that is left after
-    `REPAIRS_MAX` rounds is found by the verifier.
+    `start_max` and `end_max` bound the squared rates at the ends. `known` has the rates where all
+    of the acceleration may be used: only what the task's `accel_shares` change is solved again. An
+    excess that is left after `REPAIRS_MAX` rounds is found by the verifier.
     """
-    grid = _grid(task, from_s, to_s)
-    if task.rate_max == RATE_FREE and len(grid.segments) > MARGIN_CELLS:
-        grid.shares[:] = MARGIN_RATIO
-    squares = _squares(task, grid, start_max, end_max)
-    if task.rate_max == 1.0:
-        is_slow = np.minimum(squares[:-1], squares[1:]) < 1.0
-        grid = grid.divided(np.where(is_slow, REFINEMENT, 1))
+    end_maxima = start_max, end_max
+    if known is not None and task.accel_shares is not None:
+        grid, squares, excess = _with_reserves(task, task.accel_shares, known, end_maxima)
+    else:
+        grid = _grid(task, from_s, to_s)
+        grid.shares[:] = _share(task, grid)
         squares = _squares(task, grid, start_max, end_max)
-    excess = _excess(task, grid, squares)
+        if task.rate_max == 1.0:
+            is_slow = np.minimum(squares[:-1], squares[1:]) < 1.0
+            grid = grid.divided(np.where(is_slow, REFINEMENT, 1))
+            squares = _squares(task, grid, start_max, end_max)
+        excess = _excess(task, grid, squares)
     for _ in range(REPAIRS_MAX):
         if not (excess > REPAIR_RATIO).any():
             break
-        grid, squares, excess = _repaired(task, grid, squares, excess, (start_max, end_max))
+        grid, squares, excess = _repaired(task, grid, squares, excess, end_maxima)
     return RateWindow(grid.points_s, squares)
+
+
+def _share(task: RateTask, grid: _Grid) -> float:
+    """Return the share of the limits that the cells of a window use before any repair."""
+    is_long = task.rate_max == RATE_FREE and len(grid.segments) > MARGIN_CELLS
+    return MARGIN_RATIO if is_long else 1.0
 
 
 def slow_outline(task: RateTask, from_s: float, to_s: float) -> RateWindow:
@@ -404,19 +415,46 @@ def _repaired(
     divided = _Grid(grid.points_s, grid.segments, shares).divided(counts)
     # Within a cell the square is linear, so that dividing a cell does not change the rates.
     start = np.interp(divided.points_s, grid.points_s, squares)
-    after = start.copy()
     is_new = np.repeat(is_split | is_lowered, counts)
+    after, known = _resolved(task, divided, start, is_new, end_maxima)
+    known = np.where(np.isnan(known), np.repeat(excess, counts), known)
+    return divided, after, known
+
+
+def _with_reserves(
+    task: RateTask, shares: FloatArray, known: RateWindow, end_maxima: tuple[float, float]
+) -> tuple[_Grid, FloatArray, FloatArray]:
+    """Return grid, squares and excess with the shares of acceleration of a task.
+
+    `known` has the rates without them, or with higher ones; its cells hold the limits.
+    """
+    segments = task.path.segments_of(0.5 * (known.grid_s[:-1] + known.grid_s[1:]))
+    grid = _Grid(known.grid_s, segments, np.ones(len(segments)))
+    grid.shares[:] = _share(task, grid)
+    has_reserve = np.any(shares < 1.0, axis=1)[segments]
+    squares, excess = _resolved(task, grid, known.squares, has_reserve, end_maxima)
+    return grid, squares, np.nan_to_num(excess)
+
+
+def _resolved(
+    task: RateTask,
+    grid: _Grid,
+    squares: FloatArray,
+    is_new: NDArray[np.bool_],
+    end_maxima: tuple[float, float],
+) -> tuple[FloatArray, FloatArray]:
+    """Return the squares, solved again around the new cells, and the excess where that counts."""
+    after = squares.copy()
     places = runs(is_new)
     if sum(high - low + 2 * REACH_CELLS for low, high in places) > len(is_new) // 2:
         places = [(0, len(is_new))]
     for low, high in places:
-        _resolve(task, divided, after, (low, high), end_maxima)
-    is_changed = after != start
-    is_dirty = is_new | is_changed[:-1] | is_changed[1:]
-    known = np.repeat(excess, counts)
-    for low, high in runs(is_dirty):
-        known[low:high] = _excess(task, divided.part(low, high), after[low : high + 1])
-    return divided, after, known
+        _resolve(task, grid, after, (low, high), end_maxima)
+    is_changed = after != squares
+    excess = np.full(len(is_new), np.nan)
+    for low, high in runs(is_new | is_changed[:-1] | is_changed[1:]):
+        excess[low:high] = _excess(task, grid.part(low, high), after[low : high + 1])
+    return after, excess
 
 
 def _resolve(

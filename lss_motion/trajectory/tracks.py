@@ -7,6 +7,7 @@ another one.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import partial
@@ -122,7 +123,7 @@ def _seam_rates(layout: Layout, clock: PathClock) -> list[float]:
     return [float(rate) for rate in clock.positions(times_s)[1]]
 
 
-def _timed(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
+def _timed(layout: Layout, task: RateTask, _: object) -> tuple[list[RateWindow], PathClock]:
     windows: list[RateWindow] = []
     dues = layout.dues()
     if segments_over_limits(task).any() or task.knot_caps:
@@ -130,8 +131,13 @@ def _timed(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]
     return windows, authored_clock(task.path, windows, layout.seams(), dues)
 
 
-def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
-    """Return the time-optimal windows and clock between holds, at which every joint rests."""
+def _free(
+    layout: Layout, task: RateTask, before: Sequence[RateWindow]
+) -> tuple[list[RateWindow], PathClock]:
+    """Return the time-optimal windows and clock between holds, at which every joint rests.
+
+    `before` has the windows without the reserves of the task, if they are known.
+    """
     pauses_s: dict[float, float] = {}
     for count in range(len(layout.paths)):
         for keyframe, at_s in zip(
@@ -148,8 +154,10 @@ def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
     stop_max = [_stop_square(task, knot) for knot in knots]
     legs = list(zip(stops_s[:-1], stops_s[1:], stop_max[:-1], stop_max[1:], strict=True))
     windows = [
-        solve(task, from_s, to_s, start_max=before, end_max=after)
-        for from_s, to_s, before, after in legs
+        solve(task, from_s, to_s, start_max=start, end_max=end, known=known)
+        for (from_s, to_s, start, end), known in zip(
+            legs, before or itertools.repeat(None, len(legs)), strict=True
+        )
     ]
     return windows, stopping_clock(windows, pauses_s, end_s)
 
