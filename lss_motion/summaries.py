@@ -94,6 +94,7 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
     ]
     lines += _given_up_lines(trajectory, is_whole=is_whole)
     lines += [f"shorter: {hold_text(mark)}" for mark in shortened_holds(trajectory)]
+    lines += _rest_lines(trajectory, is_whole=is_whole)
     lines += _smooth_lines(trajectory, is_whole=is_whole)
     uses = limit_uses(trajectory, robot)
     width = max(len(name) for name in (*trajectory.joints, "joint"))
@@ -187,6 +188,22 @@ def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     lines += [f"late: keyframe {mark_name(mark)} is {late_s:.3f} s late" for mark, late_s in shown]
     if rest := found[len(shown) :]:
         lines.append(f"and {counted(rest, 'more keyframe')} less late (check --all lists them)")
+    return lines
+
+
+def _rest_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
+    """Return which rests without a hold became shorter, those that lost most first."""
+    from lss_motion.files.source import counted
+
+    found = shortened_rests(trajectory)
+    shown = found if is_whole else found[:WORST_COUNT]
+    lines = [
+        f"shorter: the rest after keyframe {mark_name(mark)} lasts {mark.rested_s:.3f} s instead "
+        f"of {mark.rest_s:g} s, because the motion is late; hold_s at that keyframe keeps a rest"
+        for mark in shown
+    ]
+    if rest := found[len(shown) :]:
+        lines.append(f"and {counted(rest, 'more rest')} shortened less (check --all lists them)")
     return lines
 
 
@@ -305,6 +322,12 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
 def shortened_holds(trajectory: Trajectory) -> list[Mark]:
     """Return the keyframes of the first pass that are held shorter than the file sets."""
     return [mark for mark in trajectory.marks if mark.hold_s - mark.held_s > HOLD_SLACK_S]
+
+
+def shortened_rests(trajectory: Trajectory) -> list[Mark]:
+    """Return the keyframes of the first pass behind which a rest becomes shorter, most first."""
+    found = [mark for mark in trajectory.marks if mark.rest_s - mark.rested_s > HOLD_SLACK_S]
+    return sorted(found, key=lambda mark: mark.rested_s - mark.rest_s)
 
 
 def hold_text(mark: Mark) -> str:
@@ -472,6 +495,17 @@ def show_as_json(show: Show) -> dict[str, Any]:
                 "place": mark.place,
             }
             for mark in shortened_holds(trajectory)
+        ],
+        "shortened_rests": []
+        if trajectory is None
+        else [
+            {
+                "label": mark.label,
+                "at_s": mark.authored_s,
+                "rest_s": mark.rest_s,
+                "rested_s": mark.rested_s,
+            }
+            for mark in shortened_rests(trajectory)
         ],
         "smoothing": [] if trajectory is None else [asdict(own) for own in smoothings(trajectory)],
         "ease_advice": [

@@ -8,6 +8,7 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.splines import runs
+from lss_motion.trajectory.keys import SAME_INSTANT_S
 from lss_motion.trajectory.model import Mark, SlowSpan
 from lss_motion.units import significant
 
@@ -103,10 +104,17 @@ def marks(
     *,
     is_timed: bool,
     kept: frozenset[str] = frozenset(),
+    path: Path | None = None,
 ) -> tuple[Mark, ...]:
-    """Return the mark of each keyframe: its authored time and when the first pass reaches it."""
+    """Return the mark of each keyframe: its authored time and when the first pass reaches it.
+
+    Without `path`, the motion is never late and rests as long as the author wants.
+    """
     planned_s = clock.times_of(spacing.reached_s).tolist()
     held_s = (clock.times_of(spacing.left_s) - planned_s).tolist()
+    rests = np.zeros((len(planned_s), 2))
+    if path is not None and is_timed:
+        rests[:-1] = _rests(spacing, clock, path)
     return tuple(
         Mark(
             label=keyframe.label,
@@ -115,14 +123,31 @@ def marks(
             is_anchor=keyframe.is_anchor,
             hold_s=keyframe.hold_s,
             held_s=kept_s if is_timed else keyframe.hold_s,
+            rest_s=rest_s,
+            rested_s=rested_s,
             hold_may_shrink=keyframe.hold_may_shrink,
             kept=tuple(name for name in keyframe.deg if name in kept),
             is_kept=bool(keyframe.deg) and kept.issuperset(keyframe.deg),
             is_exact=keyframe.is_exact,
             weight=keyframe.weight,
         )
-        for keyframe, at_s, kept_s in zip(keyframes, planned_s, held_s, strict=True)
+        for keyframe, at_s, kept_s, (rest_s, rested_s) in zip(
+            keyframes, planned_s, held_s, rests.tolist(), strict=True
+        )
     )
+
+
+def _rests(spacing: Spacing, clock: PathClock, path: Path) -> FloatArray:
+    """Return how long all joints rest before the next keyframe, (n, 2): authored and planned."""
+    from_s, to_s = spacing.left_s[:-1], spacing.reached_s[1:]
+    resting_s = np.append(0.0, np.cumsum(path.segment_lengths_s * path.rests))
+    at_s = np.interp([from_s, to_s], path.knots_s, resting_s)
+    is_rest = (to_s > from_s) & (at_s[1] - at_s[0] > to_s - from_s - SAME_INSTANT_S)
+    spent_s = [
+        spacing.authored(to_s) - spacing.authored(from_s),
+        clock.times_of(to_s) - clock.times_of(from_s),
+    ]
+    return np.where(is_rest, spent_s, 0.0).T
 
 
 def is_met(dues: Dues, clock: PathClock) -> NDArray[np.bool_]:

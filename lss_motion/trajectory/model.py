@@ -142,7 +142,8 @@ class CommandedMove:
 class Mark:
     """A keyframe in the plan: its authored time (None: not given) and when it is reached.
 
-    `hold_s` is how long the author holds it, `held_s` how long it is held in the plan.
+    `hold_s` is how long the author holds it, `held_s` how long it is held in the plan. `rest_s` and
+    `rested_s` are the same for a rest of all joints of the track from there to the next keyframe.
     """
 
     label: str
@@ -151,6 +152,8 @@ class Mark:
     is_anchor: bool
     hold_s: float = 0.0
     held_s: float = 0.0
+    rest_s: float = 0.0
+    rested_s: float = 0.0
     hold_may_shrink: bool = False
     kept: tuple[str, ...] = ()
     """Joints of the keyframe that keep their time: they are there at `authored_s`."""

@@ -179,7 +179,9 @@ def _assembled(
     )
     if layout.is_timed:
         explain.check_anchors(sequence, spacing, clock, layout.authored, stretched)
-    marks = explain.marks(sequence.keyframes, spacing, clock, is_timed=layout.is_timed)
+    marks = explain.marks(
+        sequence.keyframes, spacing, clock, is_timed=layout.is_timed, path=task.path
+    )
     motions = [
         PathMotion(path=path, clock=clock.cut(start_s, start_s + path.length_s))
         for path, start_s in zip(

@@ -160,6 +160,20 @@ def test_a_hold_that_became_shorter_is_named(robot):
     assert not any(line.startswith("shorter") for line in lines)
 
 
+def test_a_rest_that_became_shorter_is_named_unless_a_hold_keeps_it(robot):
+    """The pause before standing up: two keyframes with the same angles."""
+    keys = ((0.0, 0.0), (0.2, 100.0), (0.5, 100.0), (4.0, 0.0))
+    lines = plan_lines(plan(show(*keys), robot), robot)
+    (shorter,) = [line for line in lines if line.startswith("shorter")]
+    assert shorter.startswith("shorter: the rest after keyframe at 0.2 s lasts 0.000 s instead")
+    assert "of 0.3 s" in shorter
+    frames = list(show(*keys).keyframes)
+    frames[1] = replace(frames[1], hold_s=0.3)
+    held = plan(Sequence(name="show", keyframes=tuple(frames)), robot)
+    assert held.marks[2].planned_s - held.marks[1].planned_s == pytest.approx(0.3, abs=1e-6)
+    assert not any(line.startswith("shorter") for line in plan_lines(held, robot))
+
+
 def test_a_show_in_which_nothing_moves_says_so(robot):
     assert plan_lines(plan(show((0.0, 0.0), (1.0, 0.0)), robot), robot)[-1] == "nothing moves"
 
