@@ -101,9 +101,20 @@ def _summed(total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
     check_jumps(total, show)
     is_smooth = bool(np.isfinite(jerk_limits(show, robot, total.joints)).any())
     path = _as_cubics(total, robot, show, is_smooth=is_smooth)
-    if kept := time_keepers(show) & {*total.joints}:
-        return _with_kept(path, total, show, robot, kept)
-    return _slowed(path, total, show, robot)
+    try:
+        if kept := time_keepers(show) & {*total.joints}:
+            return _with_kept(path, total, show, robot, kept)
+        return _slowed(path, total, show, robot)
+    except PlanningError as error:
+        if error.joint is None:
+            raise
+        place = "" if show.path is None else f"{show.path}: "
+        raise PlanningError(
+            f"{place}with the layers, {error.reason}. Lower a weight, fade longer, or move less in "
+            "one of them",
+            joint=error.joint,
+            time_s=error.time_s,
+        ) from error
 
 
 def _forever(

@@ -602,8 +602,8 @@ def even_clock(
     needed, most = float(found[which][column]), float(limits[which][1][column])
     if slowest > SLOWEST_RATIO:
         raise PlanningError(
-            f"with the layers, joint {joints[column]!r} would need {limit} {needed:.0f}, allowed "
-            f"{most:.0f}, in degrees and seconds: fade longer, or lower a weight",
+            f"joint {joints[column]!r} would need {limit} {needed:.0f}, allowed {most:.0f}, in "
+            "degrees and seconds",
             joint=joints[column],
         )
     length_s = task.path.length_s

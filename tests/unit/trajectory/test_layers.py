@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -131,8 +132,10 @@ def test_a_layer_that_makes_a_joint_jump_is_refused(make_robot, frame, fade_s):
 
 def test_a_sum_that_leaves_the_range_is_refused(make_robot, frame):
     top = layer_of(blink(frame, joint="base", top=40.0), "base", mode="add", from_s=3.5)
-    with pytest.raises(PlanningError, match=r"'base' would be at .* allowed -80 to 80 deg"):
-        plan(base_show(frame, layers=(top,)), make_robot(reach=80.0))
+    layered = replace(base_show(frame, layers=(top,)), path=Path("top.yaml"))
+    reason = r"top.yaml: with the layers, joint 'base' would be at .* allowed -80 to 80 deg. Lower"
+    with pytest.raises(PlanningError, match=reason):
+        plan(layered, make_robot(reach=80.0))
 
 
 def test_an_offset_may_be_larger_than_the_range(make_robot, frame):
