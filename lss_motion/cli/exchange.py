@@ -162,6 +162,12 @@ def _add_import(commands: Commands) -> None:
         "every instant, but less far (default for a sound); commands of a script then stay as they "
         "are",
     )
+    imported.add_argument(
+        "--wait-unit",
+        choices=("ms", "s"),
+        help="unit of `wait` and `pause` in command text where they have none (default: s for "
+        "fractions and if all whole numbers are below 20, else ms)",
+    )
     add_sound_options(imported)
     add_label_options(imported)
     target = imported.add_mutually_exclusive_group(required=True)
@@ -221,14 +227,17 @@ def _import(arguments: argparse.Namespace) -> int:
             "is a sound; name the joint that follows it, such as --joint jaw", path=arguments.file
         )
     motion = read_motion(
-        arguments.file, format_name=arguments.format_name, motion_name=arguments.motion
+        arguments.file,
+        format_name=arguments.format_name,
+        motion_name=arguments.motion,
+        wait_unit=arguments.wait_unit,
     )
     if isinstance(motion, LabelTrack):
         return import_labels(arguments, motion, robot)
     require_no_labels(arguments)
     if arguments.make_map is not None:
         write_output(arguments.make_map, map_template(motion, robot))
-        print(f"{arguments.make_map}: {len(motion.channels)} joints; edit it, then use --map")
+        print(f"{arguments.make_map}: {counted(motion.channels, 'joint')}; edit it, then use --map")
         return EXIT_FINISHED
     made = imported(
         motion,

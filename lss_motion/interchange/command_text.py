@@ -5,8 +5,12 @@ whole microseconds (`.lss` programs). With instants, a command that arrives duri
 the position that the servo has then. Without instants, commands to different servos start together,
 and the next command to one of these servos starts when all of them have arrived.
 
+Case and spaces between the parts of a command do not count, as on an SSC-32: `#5 p1500 t1000`.
+
 Lines such as `wait 500 ms`, `pause 0.5`, `delay(500);` or `time.sleep(0.5)` are the clock of a
-script: what follows is sent that long after what stands above was sent, arrived or not.
+script: what follows is sent that long after what stands above was sent, arrived or not. `wait` and
+`pause` are words of many programs, with seconds or milliseconds: where the text does not give the
+unit, all bare whole numbers of the word decide.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -36,7 +40,7 @@ from lss_motion.sequence.model import TIME_MAX_S, Interpolation
 from lss_motion.units import s_from_ms, s_from_us
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
 ID_MAX: Final = 250
@@ -49,6 +53,10 @@ _MOVE: Final = re.compile(r"#(\d{1,3})([DP])(-?\d{1,7})", re.ASCII)
 _PART: Final = re.compile(r"[#*](?=\d)[^#*]*", re.ASCII)
 _OTHER: Final = re.compile(r"[#*]\d{1,3}([A-Z]{1,6})", re.ASCII)
 _STAMP: Final = re.compile(r"(\d{1,12}|\d{1,9}\.\d{1,9})\s+(?:\S{1,64}\s+)??(?:[<>]\s+)?(?=[#*])")
+_LETTER: Final = re.compile(
+    r"(?<=\d)[ \t]{0,8}(SD|[DPST])[ \t]{0,8}(?=-?\d)", re.ASCII | re.IGNORECASE
+)
+"""A letter between two numbers of a command, with spaces as in the manual of the SSC-32."""
 _TIME: Final = re.compile(r"T(\d{1,9})", re.ASCII)
 _SPEED: Final = re.compile(r"SD?\d", re.ASCII)
 
@@ -59,6 +67,10 @@ _WAIT: Final = re.compile(
 )
 _IN_SECONDS: Final = frozenset({"sleep"})
 """As in a shell and in Python. `delay` is in ms, as in an Arduino sketch."""
+_EITHER: Final = ("wait", "pause")
+WAIT_MIN_MS: Final = 20
+"""A whole number without a unit is seconds if no wait of the text has so much. Chosen: no servo
+gets anywhere in less than 20 ms, and a wait of 20 s ends a script."""
 _COMMENT: Final = re.compile(r"//.*|#(?!\d).*|^\s*[;%].*", re.ASCII)
 _LOG_LINE: Final = re.compile(r"\d{1,9}\.\d{9} \S{1,64} ([><.=!~?#])(?: .*)?", re.ASCII)
 """A line of a log. Only those of bytes that were sent (`>`) or received (`<`) hold commands."""
@@ -84,16 +96,39 @@ class CommandReader:
     """Reads `#<id>D<tenths>T<ms>` (joints by their ids) and `#<ch>P<us>…T<ms>` (pulses)."""
 
     name: str = "commands"
+    wait_unit: Literal["ms", "s"] | None = None
+    """The unit of a `wait` or `pause` without one; None: decided by its numbers."""
 
     def recognises(self, data: bytes) -> bool:
         head = text_head(data, 8192).decode("utf-8", "replace").lstrip()
-        return not head.startswith("#WEBOTS") and _MOVE.search(head) is not None
+        return not head.startswith("#WEBOTS") and _MOVE.search(_plain(head)) is not None
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        text = _CommandText(TextLines.of(path, data))
+        lines = TextLines.of(path, data)
+        units = _bare_units(lines)
+        if self.wait_unit is not None:
+            units = dict.fromkeys(units, self.wait_unit)
+        text = _CommandText(lines, units)
         for number, line in text.lines.numbered():
             text.read(number, line)
         return (text.motion(),)
+
+
+def _plain(text: str) -> str:
+    """Return a text with its commands in capitals and without spaces within them."""
+    return _LETTER.sub(lambda letter: letter[1].upper(), text)
+
+
+def _bare_units(lines: TextLines) -> dict[tuple[str, bool], str]:
+    """Return the units of `wait` and `pause` where the text has none: fractions are seconds."""
+    most = dict.fromkeys(_EITHER, 0)
+    for _, line in lines.numbered():
+        for wait in _WAIT.finditer(_COMMENT.sub("", line)):
+            word, digits = wait[1].lower(), wait[3]
+            if word in most and digits.isdigit() and not (wait[2] or wait[4]):
+                most[word] = max(most[word], int(digits))
+    whole = {(word, True): "ms" if count >= WAIT_MIN_MS else "s" for word, count in most.items()}
+    return {**whole, **{(word, False): "s" for word in _EITHER}}
 
 
 @dataclass(slots=True)
@@ -101,6 +136,8 @@ class _CommandText:
     """Collects the moves of a file, by servo."""
 
     lines: TextLines
+    units: Mapping[tuple[str, bool], str]
+    """The unit of each word of `_EITHER` that has none, by whether its number is whole."""
     moves: dict[str, list[_ServoMove]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     is_stamped: bool | None = None
@@ -124,7 +161,7 @@ class _CommandText:
             return
         stamp = _STAMP.match(line)
         text = _COMMENT.sub("", line[stamp.end() :] if stamp else line)
-        text = text.replace("\\r", "\r")  # The log writes a CR so.
+        text = _plain(text.replace("\\r", "\r"))  # The log writes a CR so.
         start = 0
         has_meaning = log_line is not None or not text.strip()
         for wait in _WAIT.finditer(text):
@@ -141,7 +178,8 @@ class _CommandText:
         unit = (wait[2] or wait[4] or "").lower()
         if not unit:
             unit = "s" if word in _IN_SECONDS or not digits.isdigit() else "ms"
-            if word in {"wait", "pause"}:
+            if word in _EITHER:
+                unit = self.units[word, digits.isdigit()]
                 self.assumed[f"{word} {digits}"] = unit
         value = self.lines.number(digits, number, has_commas=True)
         wait_s = s_from_ms(value) if unit.startswith("m") else value
@@ -235,7 +273,8 @@ class _CommandText:
                 f"Imported from {path.name} ({title}, {order}).",
                 CONSTANT_SPEED,
                 *(
-                    f"`{wait}` is read as {unit}; if it is not, write the unit."
+                    f"`{wait}` is read as {unit}; if it is not, use --wait-unit "
+                    f"{'s' if unit == 'ms' else 'ms'} or write the unit."
                     for wait, unit in self.assumed.items()
                 ),
                 *summarised(found),

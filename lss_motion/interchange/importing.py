@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
@@ -92,13 +92,18 @@ FORMAT_NAMES: Final = tuple(reader.name for reader in READERS)
 
 
 def read_motion(
-    path: Path | str, *, format_name: str | None = None, motion_name: str | None = None
+    path: Path | str,
+    *,
+    format_name: str | None = None,
+    motion_name: str | None = None,
+    wait_unit: Literal["ms", "s"] | None = None,
 ) -> ForeignMotion | LabelTrack:
     """Return one motion, or track of labels, of a file of another tool, not yet for a robot.
 
-    `motion_name` is required if the file has several motions.
+    `motion_name` is required if the file has several motions. `wait_unit` is that of the waits of
+    command text which have none.
     """
-    motions = read_motions(path, format_name=format_name)
+    motions = read_motions(path, format_name=format_name, wait_unit=wait_unit)
     names = [motion.name for motion in motions]
     if motion_name is None and len(motions) == 1:
         chosen = motions[0]
@@ -118,7 +123,10 @@ def read_motion(
 
 
 def read_motions(
-    path: Path | str, *, format_name: str | None = None
+    path: Path | str,
+    *,
+    format_name: str | None = None,
+    wait_unit: Literal["ms", "s"] | None = None,
 ) -> tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]:
     """Return all motions, or tracks of labels, of a file of another tool, with unique names."""
     path = Path(path)
@@ -130,6 +138,10 @@ def read_motions(
         raise InputError("is empty; write or copy it again", path=path)
     for reader in READERS:
         if reader.name == format_name or (format_name is None and reader.recognises(data)):
+            if wait_unit is not None and not isinstance(reader, CommandReader):
+                raise InputError("has no waits: --wait-unit is for command text", path=path)
+            if isinstance(reader, CommandReader):
+                reader = replace(reader, wait_unit=wait_unit)  # noqa: PLW2901
             return tuple(_distinct(reader.motions(path, data)))
     raise InputError(
         f"is in no motion format that can be read; there are: {', '.join(FORMAT_NAMES)}; "

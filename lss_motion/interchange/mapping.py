@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -53,6 +54,9 @@ PULSE_DEG_PER_US: Final = 0.09
 PULSE_OFFSET_DEG: Final = -135.0
 """A usual RC servo, as a guess in templates: 180 deg over 500 to 2500 us, 0 deg at 1500 us."""
 
+
+_NUMBER: Final = re.compile(r"(?:id|servo|motor|pin)?[ _-]?(\d{1,3})", re.ASCII | re.IGNORECASE)
+"""A name that is no more than the number of a servo."""
 
 SCALE_MAX: Final = 1e6
 """Degrees per unit: a spindle of 1 mm per turn has 360,000 deg per metre."""
@@ -322,6 +326,8 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
         joint = _guess(channel, robot)
         fields = [f"name: {json.dumps(joint, ensure_ascii=False)}"] if joint else ["skip: true"]
         words = [f"{low:.6g} to {high:.6g} {_TEMPLATE_UNITS.get(channel.unit, channel.unit)}"]
+        if joint and channel.servo_id is None and joint == _by_number(channel.name, robot):
+            words.append("guess: its servo has this id")
         if not joint:
             words.append("the robot has no joint of that name: skipped unless you name one")
         if channel.unit is Unit.US:
@@ -353,7 +359,19 @@ def _guess(channel: Channel, robot: Robot) -> str:
 
     own = _own_joint(channel, None, robot)
     by_name = {plain(name): name for name in reversed(list(robot.joints))}
-    return own.name if own else by_name.get(plain(channel.name), "")
+    by_name_or_id = by_name.get(plain(channel.name)) or _by_number(channel.name, robot)
+    return own.name if own else by_name_or_id
+
+
+def _by_number(name: str, robot: Robot) -> str:
+    """Return the one joint whose servo has the id that a name such as `ID7` or `7` is; else ""."""
+    number = _NUMBER.fullmatch(name)
+    found = [
+        joint.name
+        for joint in robot.joints.values()
+        if number is not None and joint.servo_id == int(number[1])
+    ]
+    return found[0] if len(found) == 1 else ""
 
 
 def _shown(text: str) -> str:

@@ -141,7 +141,7 @@ def test_clip_lists_what_it_limited_and_the_refusal_offers_it(folder: Path, caps
 
 def test_curves_of_scripts_that_would_leave_the_range_are_smooth(folder: Path, capsys) -> None:
     """A command that replaces another makes the script a curve; clipped, it ends at the range."""
-    script = "#1D-300T900\nwait 1\n#1D0T999\nwait 2\n#1D99T20\nwait 1\n#1D2500T999\n"
+    script = "#1D-300T900\nwait 1 ms\n#1D0T999\nwait 2 ms\n#1D99T20\nwait 1 ms\n#1D2500T999\n"
     (folder / "script.txt").write_text(script, encoding="utf-8")
     assert run(folder, str(folder / "script.txt"), "--clip", "-o", "out.yaml") == 0
     assert "A spline would swing joint pan out of its range: smooth" in capsys.readouterr().out

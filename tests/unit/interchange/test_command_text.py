@@ -117,8 +117,12 @@ def test_a_wait_at_the_end_is_a_hold(read_one) -> None:
 
 def test_a_unit_that_the_text_does_not_give_is_named(read_one) -> None:
     comments = read_one(CommandReader(), "#1D100T500\nwait 700\npause 0.5\nsleep 1\n").comments
-    assert "`wait 700` is read as ms; if it is not, write the unit." in comments
-    assert "`pause 0.5` is read as s; if it is not, write the unit." in comments
+    assert (
+        "`wait 700` is read as ms; if it is not, use --wait-unit s or write the unit." in comments
+    )
+    assert (
+        "`pause 0.5` is read as s; if it is not, use --wait-unit ms or write the unit." in comments
+    )
     assert not any("sleep" in comment for comment in comments)
 
 
@@ -148,3 +152,44 @@ def test_a_log_has_no_lines_without_a_meaning(read_one) -> None:
     assert keys(motion) == {"ID5": [(0.6, 10.0)]}
     assert not any("means nothing" in comment for comment in motion.comments)
     assert not any("waits" in comment for comment in motion.comments)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "wait_s"),
+    [
+        ("pause 2", None, 2.0),
+        ("pause 19", None, 19.0),
+        ("pause 20", None, 0.02),
+        ("pause 500\npause 2", None, 0.502),
+        ("wait 700\npause 2", None, 2.7),
+        ("pause 2", "ms", 0.002),
+        ("pause 700", "s", 700.0),
+        ("pause 700.5", "ms", 0.7005),
+        ("pause 2 s\npause 0.1 ms", "ms", 2.0001),
+        ("delay(2)", "s", 0.002),
+    ],
+)
+def test_the_unit_of_a_bare_wait(read_one, text, unit, wait_s) -> None:
+    """Few seconds, or milliseconds as T; an option settles it."""
+    reader = CommandReader(wait_unit=unit)
+    motion = read_one(reader, f"#1D100T500\n{text}\n#1D0T500\n")
+    assert motion.channels[0].times_s[-1] == pytest.approx(wait_s + 0.5)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#5 P1600 #10 P750 T2500 \n",
+        "#5P1600#10P750T2500\r",
+        "#5 p 1600 #10 p 750 t 2500\n",
+        'Serial.print("#5 P1600 #10 P750 T2500");\n',
+    ],
+)
+def test_case_and_spaces_within_commands_do_not_count(read_one, text) -> None:
+    """As the manual of the SSC-32 writes its commands, and its readers type them."""
+    motion = read_one(CommandReader(), text)
+    assert [(c.name, c.values.tolist()) for c in motion.channels] == [
+        ("PIN5", [1600.0]),
+        ("PIN10", [750.0]),
+    ]
+    assert all(c.times_s.tolist() == [2.5] for c in motion.channels)

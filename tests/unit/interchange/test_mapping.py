@@ -34,6 +34,15 @@ def motion(*channels: tuple[str, Unit, list[float]], is_recording: bool = False)
     )
 
 
+@pytest.mark.parametrize("name", ["id3", "servo 3", "Motor_3", "3"])
+def test_a_map_to_begin_with_guesses_the_joint_by_the_id_of_its_servo(arm, name) -> None:
+    robot = replace(arm, joints={**arm.joints, "base": replace(arm.joints["base"], servo_id=3)})
+    robot = replace(robot, joints={n: robot.joints[n] for n in ("base",)})
+    text = map_template(motion((name, Unit.DEG, [0.0, 1.0]), ("ID4", Unit.DEG, [0.0])), robot)
+    assert f'"{name}": {{name: "base"}}  # 0 to 1 deg; guess: its servo has this id' in text
+    assert '"ID4": {skip: true}' in text
+
+
 def test_d_is_counted_as_the_servo_with_that_id_counts_it(arm) -> None:
     pro = replace(arm.joints["base"], servo_id=1, model=SERVO_MODELS["LSS-P-S1"])
     robot = replace(arm, joints={**arm.joints, "base": pro})
