@@ -5,6 +5,7 @@ What a person sees: differences, questions, outcomes. `servo_settings` talks to 
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,12 +18,13 @@ from lss_motion.cli.commands import (
     require_joint,
     robot_at,
 )
+from lss_motion.cli.messages import put
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
@@ -162,7 +164,21 @@ def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
             "there is no terminal to agree on; add --yes to write without the question"
         )
     print(f"{question} [y/N] ", end="", flush=True)
-    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+    try:
+        return sys.stdin.readline().strip().lower() in {"y", "yes"}
+    except KeyboardInterrupt:
+        print("\nnothing was written")
+        raise
+
+
+@contextlib.contextmanager
+def _writing(text: str) -> Iterator[None]:
+    """While servos are written: print `text`, which says what to do, when that is interrupted."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        put(f"interrupted while servos were written: {text}", sys.stderr)
+        raise
 
 
 def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
@@ -361,7 +377,8 @@ def _apply(
     if not _is_agreed(arguments, f"Write {len(needed)} settings?"):
         print("nothing was written")
         return EXIT_FINISHED
-    done = servo_settings.write(connection, targets, wanted, is_session=is_session)
+    with _writing("some may have their new settings, others not. Give the same command again"):
+        done = servo_settings.write(connection, targets, wanted, is_session=is_session)
     print(f"written and read back: {len(done)} settings")
     return EXIT_FINISHED
 
@@ -383,7 +400,12 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
     ):
         print("nothing was written")
         return EXIT_FINISHED
-    present = servo_settings.change_id(connection, bus, old_id, new_id)
+    with _writing(
+        f"the {present.model} may have id {old_id} or {new_id}, and takes {new_id} when it is "
+        f"switched off and on if it got that far. `lss-motion scan {connection.buses[bus].port}` "
+        f"shows it"
+    ):
+        present = servo_settings.change_id(connection, bus, old_id, new_id)
     number = f", serial number {present.serial_number}" if present.serial_number else ""
     print(f"the {present.model}{number} now has id {new_id}")
     return EXIT_FINISHED
@@ -439,7 +461,11 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
     if arguments.dry_run or not _is_agreed(arguments, "Go on?"):
         print("nothing was written")
         return EXIT_FINISHED
-    lost = servo_settings.change_baud(connection, bus.name, chosen, rate_bps)
+    with _writing(
+        f"some servos may be at {bus.baud_bps} bps, others at {rate_bps}. `lss-motion scan "
+        f"{bus.port}` lists them with the command that mends it"
+    ):
+        lost = servo_settings.change_baud(connection, bus.name, chosen, rate_bps)
     if lost:
         listed = ", ".join(map(str, lost))
         print(f"servo {listed} does not reply at {rate_bps} bps; see `lss-motion scan {bus.port}`")
@@ -518,7 +544,8 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
         print("nothing was written")
         return EXIT_FINISHED
     for target, servo_id in moves:
-        servo_settings.change_id(connection, target.bus, target.servo_id, servo_id)
+        with _writing("some servos may have their ids, others not. Give the same command again"):
+            servo_settings.change_id(connection, target.bus, target.servo_id, servo_id)
         index = targets.index(target)
         (targets[index],) = servo_settings.targets_at(
             connection, target.bus, {servo_id: target.name}

@@ -95,7 +95,10 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
         if connection.simulated:
             print(SIMULATED_NOTE)
         for bus in buses.values():
-            looks = survey(connection, bus, arguments.baud, _progress)
+            try:
+                looks = survey(connection, bus, arguments.baud, _progress)
+            finally:
+                _progress("")  # Errors begin on a line of their own.
             others = unreadable(connection, bus)
             frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
             problems, notes = _print_findings(bus, robot, looks, frames, others)

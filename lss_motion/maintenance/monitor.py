@@ -164,9 +164,9 @@ class _BusRounds:
             heard, self.silence = self.silence, None
             is_other = bool(heard.replies or heard.unreadable)
             self.found = (
-                disturbed_text(self.name, heard.replies, heard.unreadable)
+                disturbed_text(f"bus {self.name}", heard.replies, heard.unreadable)
                 if is_other
-                else _shared_text(self.name, self.watch.replies)
+                else _shared_text(f"bus {self.name}", self.watch.replies)
             )
         return self.silence is not None
 

@@ -440,7 +440,6 @@ class Player:
             return
         if self.phase in PLAYING:
             self._events += self._session.agenda.advance(self._streamer, self.lines, now_ns)
-        self._events += map(Warned, self.unasked.advance(now_ns))
         self._streamer.advance(now_ns)
         if (back_at_s := self._streamer.take_way_back()) is not None:
             self._session.agenda.go_back(back_at_s)
@@ -537,6 +536,7 @@ class Player:
 
     def _report_faults(self) -> None:
         self._events += self._faults.take_events()
+        self._events += map(Warned, self.unasked.advance(self._now_ns))
 
     def _connected(self, preflight: Preflight) -> None:
         try:

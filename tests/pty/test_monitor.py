@@ -94,7 +94,7 @@ def test_another_host_and_its_servos_are_named_in_an_alarm(on_terminal, servo):
     ]
     with on_terminal(servo(1), servo(2), faults=masters):
         Path("robot.yaml").write_text(ROBOT)
-        code, out, _ = monitored("robot.yaml", until=("ALARM  main: servos 1, 2 sent",))
+        code, out, _ = monitored("robot.yaml", until=("ALARM  bus main: servos 1, 2 sent",))
     assert code == EXIT_INTERRUPTED
     assert "another program or computer asks on this bus" in out
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from lss_motion import connection as connections
+from lss_motion.cli.main import main
 from lss_motion.connection import Connection
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, ServoModel
@@ -50,3 +52,17 @@ def connected():
         return connection
 
     return make
+
+
+@pytest.fixture
+def command(connected, monkeypatch, capsys):
+    """Return what runs a command on servos in virtual time: exit code, output, errors, lines."""
+
+    def run(*words, servos, faults=()):
+        connection = connected(*servos, faults=faults)
+        monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
+        code = main([str(word) for word in words])
+        lines = [line for _, line in connection.simulated["main"].lines]
+        return (code, *capsys.readouterr(), lines)
+
+    return run

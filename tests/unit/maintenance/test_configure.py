@@ -5,9 +5,16 @@ from __future__ import annotations
 import pytest
 
 from lss_motion import connection as connections
+from lss_motion.cli import servo_settings
 from lss_motion.cli.main import main
 from lss_motion.cli.servo_settings import read, read_whole, targets_at, write
-from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE, BusError
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_UNREACHABLE,
+    BusError,
+)
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.framing import Command
 from lss_motion.protocol.io2 import PIN_IDS
@@ -419,3 +426,24 @@ def test_reading_reports_missing_answers(connected, spec):
     found = read(connection, [target])[target.name]
     assert found["AS"] == 0
     assert set(found) == set(target.rows(is_session=False))
+
+
+@pytest.mark.parametrize(
+    ("words", "writer", "said"),
+    [
+        (("--set", "LED=3"), "write", "some may have their new settings, others not"),
+        (("--new-id", 9), "change_id", "may have id 5 or 9"),
+        (("--new-baud", 500000), "change_baud", "some servos may be at 115200 bps, others at"),
+    ],
+)
+def test_an_interrupt_while_servos_are_written_says_what_may_be(
+    command, spec, monkeypatch, words, writer, said
+):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(servo_settings, writer, interrupt)
+    asked = ("configure", "--port", "P", "--id", 5, "--yes", *words)
+    code, _, errors, _ = command(*asked, servos=[spec(5)])
+    assert (code, "interrupted while servos were written" in errors) == (EXIT_INTERRUPTED, True)
+    assert said in errors

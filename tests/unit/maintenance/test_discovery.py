@@ -6,8 +6,6 @@ import dataclasses
 
 import pytest
 
-from lss_motion import connection as connections
-from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
 from lss_motion.maintenance import findings
 from lss_motion.maintenance.discovery import (
@@ -166,20 +164,6 @@ def test_a_shared_id_on_a_bus_that_another_host_disturbs_is_doubtful(connected, 
     (text,) = findings.unreachable(connection.buses["main"], looks)
     assert "id 9: its queries are regularly answered by unreadable bytes" in text
     assert "Stop the other host, then scan again" in text
-
-
-@pytest.fixture
-def command(connected, monkeypatch, capsys):
-    """Return what runs a command on servos in virtual time: exit code, output, errors, lines."""
-
-    def run(*words, servos, faults=()):
-        connection = connected(*servos, faults=faults)
-        monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
-        code = main([str(word) for word in words])
-        lines = [line for _, line in connection.simulated["main"].lines]
-        return (code, *capsys.readouterr(), lines)
-
-    return run
 
 
 def test_scan_prints_an_id_that_is_doubtful_and_what_to_do(command, spec):
