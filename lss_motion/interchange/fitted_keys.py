@@ -134,7 +134,7 @@ def _refined(
             return [curve for curve, _ in pairs], keys
         is_open = np.diff(keys) > 1
         if not (is_bad & is_open).any():  # A limit is exceeded between samples beside it.
-            is_bad = np.convolve(is_bad, np.ones(2 * REACH + 1), "same") > 0.0
+            is_bad = np.convolve(is_bad, np.ones(2 * REACH + 1))[REACH:-REACH] > 0.0
         spans = np.flatnonzero(is_bad & is_open)
         if not len(spans):
             return None

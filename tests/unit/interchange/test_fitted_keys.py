@@ -149,6 +149,13 @@ def test_joints_that_were_sampled_at_other_times_keep_their_own() -> None:
     assert fit.error_max_deg <= 2.0 + ROUNDING_DEG
 
 
+def test_three_samples_whose_spline_breaks_a_limit_are_no_keys_and_no_error() -> None:
+    """There are fewer spans than a curve changes in when a key moves."""
+    steep = curve(np.array([0.0, 0.0, 3.0]), 0.5, accel_max=2800.0)
+    steep = replace(steep, times_s=2.0 * steep.times_s, speed_max_deg_s=np.full(3, 180.0))
+    assert fitted_together([steep], 4, 0.0) is None
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_fitted_splines_keep_the_acceleration_and_the_range(seed: int) -> None:
     random = np.random.default_rng(seed)
