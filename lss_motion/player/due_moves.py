@@ -43,17 +43,18 @@ class DueMoves:
 
     def first(self, before_us: float) -> Due | None:
         """Return the next move to leave among those that are due before `before_us`."""
+        soon = self._soon
         while self._head is not None and self._head[0] < before_us:
             due_us, move = self._head
-            if self._soon and due_us - EARLY_MAX_US > self._soon[0].at_us:
+            if soon and due_us - EARLY_MAX_US > soon[0].at_us:
                 break
             self._number += 1
             servo = (move.bus, move.servo_id)
             at_us = due_us - min(self._early_us(move), EARLY_MAX_US)
             at_us = self._newest_us[servo] = max(at_us, self._newest_us.get(servo, at_us))
-            heapq.heappush(self._soon, Due(at_us, self._number, due_us, move))
+            heapq.heappush(soon, Due(at_us, self._number, due_us, move))
             self._head = next(self._upcoming, None)
-        return self._soon[0] if self._soon else None
+        return soon[0] if soon else None
 
     def pop(self) -> Due:
         """Remove the move that `first` returned; return it."""

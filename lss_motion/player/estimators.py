@@ -168,7 +168,10 @@ class HornEstimator:
 
     def correction_deg(self, angle_deg: float, way: float) -> float:
         """Return what may be added to a target: the load, or 0 if it is small or not sure."""
-        load_deg, basis = self.load_deg(angle_deg, way), _basis(angle_deg, way, 0.0)
+        basis = _basis(angle_deg, way, 0.0)
+        load_deg: float = sum(map(operator.mul, self._mean, basis))
+        if abs(load_deg) <= SMALL_DEG:
+            return 0.0
         spread = (sum(map(operator.mul, row, basis)) for row in self._cov)
         unsure_deg = math.sqrt(max(sum(map(operator.mul, spread, basis)), 0.0))
         clear = min(max(0.0, abs(load_deg) / (SMALL_DEG + unsure_deg) - 1.0), 1.0)
@@ -186,7 +189,10 @@ class HornEstimator:
         Where much is left that it does not explain, it is no lag either: a motor that is too weak
         is late on its way there, and on the way back it was sent too early.
         """
-        lag_s, unsure_s = self.lag_s, math.sqrt(max(self._cov[-1][-1], 0.0))
+        lag_s = self.lag_s
+        if abs(lag_s) <= DEAD_S:
+            return 0.0
+        unsure_s = math.sqrt(max(self._cov[-1][-1], 0.0))
         clear = min(max(0.0, abs(lag_s) / (DEAD_S + unsure_s) - 1.0), 1.0)
         if clear == 0.0:
             return 0.0
@@ -270,7 +276,10 @@ class HornEstimator:
         for index, drift in enumerate(DRIFT):
             self._cov[index][index] += drift * drift * min(elapsed_s, NOISE_S)
         basis = _basis(lagged_deg, way, speed_deg_s)
-        spread = [sum(map(operator.mul, row, basis)) for row in self._cov]
+        one, sine, cosine, turned, speed = basis  # Written out: this is most of the work.
+        spread = [
+            a * one + b * sine + c * cosine + d * turned + e * speed for a, b, c, d, e in self._cov
+        ]
         known = sum(map(operator.mul, spread, basis))
         load_deg: float = sum(map(operator.mul, self._mean, basis[:-1]))
         surprise_deg = lagged_deg - measured_deg - load_deg

@@ -205,8 +205,10 @@ class HealthMonitor:
     def answered(self, state: JointState) -> None:
         """Note any answer of a servo."""
         name = state.joint.name
-        self._unanswered.pop(name, None)
-        self.active_faults.pop((name, Cause.SILENT), None)
+        if self._unanswered:
+            self._unanswered.pop(name, None)
+        if self.active_faults:
+            self.active_faults.pop((name, Cause.SILENT), None)
 
     def unanswered(self, state: JointState, now_ns: int, since_ns: int) -> None:
         """Note that a query to a servo was given up; `advance` judges it.
@@ -222,6 +224,8 @@ class HealthMonitor:
 
     def advance(self, now_ns: int) -> None:
         """Find silent servos, without waiting for a query that is late on a full line."""
+        if not self._unanswered:
+            return
         for joint, since_ns in self._fading():
             if now_ns >= since_ns + ns_from_s(joint.silent_s):
                 silent_s = s_from_ns(now_ns - since_ns)
@@ -232,6 +236,8 @@ class HealthMonitor:
 
     def wakeups_ns(self) -> list[int]:
         """Return when `advance` must be called at the latest."""
+        if not self._unanswered:
+            return []
         return [
             since_ns + ns_from_s(joint.silent_s)
             for joint, since_ns in self._fading()

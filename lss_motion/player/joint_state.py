@@ -523,7 +523,7 @@ class JointState:
 
     def _recent_deg_s(self, course_s: float) -> float:
         """Return the largest speed of the profile of late, 0 if it rests."""
-        return max(abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S)
+        return max([abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S])
 
     def _is_settled(self, read_s: float) -> bool:
         """Return whether the servo was at rest at `read_s` and for a while before."""

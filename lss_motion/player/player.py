@@ -163,9 +163,9 @@ class Player:
         """Return when `data_to_send` must be called at the latest; None when the run is over."""
         wakeup_ns = None
         if self.phase is not Phase.DONE:
-            due_ns = min((w for w in self._wakeups_ns() if w is not None), default=None)
             idle_ns = self._now_ns + self.idle_ns
-            wakeup_ns = idle_ns if due_ns is None else min(max(due_ns, self._now_ns), idle_ns)
+            due_ns = min([w for w in self._wakeups_ns() if w is not None], default=idle_ns)
+            wakeup_ns = min(max(due_ns, self._now_ns), idle_ns)
         self._stalls.expect(wakeup_ns)
         return wakeup_ns
 

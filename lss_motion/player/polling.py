@@ -23,7 +23,7 @@ from lss_motion.player.query_choice import (
     Polled,
 )
 from lss_motion.player.settings_watch import HOLD_SIGNS, SettingsWatch, Silence
-from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.codec import reply_number
 from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
@@ -371,24 +371,24 @@ class PollScheduler:
         reply: Reply,
         plan_deg: Callable[[JointState, int], float],
     ) -> None:
-        answer = read_reply(state.joint.model.language, reply)
-        if answer is None or not isinstance(answer.value, int | float):
+        number = reply_number(state.joint.model.language, reply)
+        if number is None:
             self._note_no_target(state, reply, query.arrival_ns)
             return
         match reply.keyword:
             case "QD":
-                self._take_position(bus, state, answer.value, query, plan_deg)
+                self._take_position(bus, state, number, query, plan_deg)
             case "QDT":
-                if state.take_target(answer.value, s_from_ns(query.arrival_ns)):
+                if state.take_target(number, s_from_ns(query.arrival_ns)):
                     self._note_lost_move(state)
             case "Q":
-                self._take_status(state, int(answer.value), query.arrival_ns)
+                self._take_status(state, int(number), query.arrival_ns)
             case "QT":
-                self.health.temperature(state, answer.value)
+                self.health.temperature(state, number)
             case "QV":
-                self.health.voltage(state, answer.value)
+                self.health.voltage(state, number)
             case "QC":
-                self.health.current(state, answer.value)
+                self.health.current(state, number)
             case _:
                 pass
 
@@ -451,7 +451,7 @@ class PollScheduler:
                 wakeups_ns.append(give_up_ns)
             if (next_ns := self._next_ns[bus]) is not None:
                 wakeups_ns.append(next_ns)
-        self._wakeup_ns = min((w for w in wakeups_ns if w > now_ns), default=None)
+        self._wakeup_ns = min([w for w in wakeups_ns if w > now_ns], default=None)
         return wakeups_ns
 
     def _take_position(

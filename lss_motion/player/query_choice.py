@@ -123,7 +123,8 @@ def is_led(state: JointState) -> bool:
 
 def _target_ns(state: JointState) -> float:
     """Return when a servo must be polled for its target; infinite: it need not be."""
-    target_s = state.target_due_s
+    lost_moves = state.lost_moves
+    target_s = math.inf if lost_moves is None else lost_moves.target_due_s
     return target_s if target_s == math.inf else ns_from_s(target_s)
 
 
@@ -156,6 +157,14 @@ class QueryChoice(ABC):
         self._healths_ns: dict[str, int] = {}
         """By joint, when its servo was last asked about its health, with no probe."""
         self._late_counts: dict[str, int] = {}
+        self._health_periods_ns = {
+            state.joint.name: HEALTH_NS // 2
+            if self._watch.keywords(state.joint.name)
+            else HEALTH_NS
+            for states in polled.by_bus.values()
+            for state in states
+        }
+        """By joint, the period of the queries about health; probes are every other one."""
 
     @abstractmethod
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
@@ -258,7 +267,7 @@ class QueryChoice(ABC):
     def _health_period_ns(self, state: JointState) -> int:
         if (resting_ns := self._resting_ns(state)) is not None:
             return resting_ns
-        return HEALTH_NS // 2 if self._watch.keywords(state.joint.name) else HEALTH_NS
+        return self._health_periods_ns[state.joint.name]
 
     def _resting_ns(self, state: JointState) -> int | None:  # noqa: ARG002
         """Return the period of queries to a servo that rests in its place; None: it does not."""
@@ -322,11 +331,19 @@ class _Round:
     """Joints whose instant must be computed anew."""
     arrivals_ns: list[int | None]
     """By joint, when its last move arrived, at the last look."""
+    first_ns: float = 0.0
+    """The earliest of `dues_ns`."""
     sent_bytes: int = 0
     """Bytes of the line at the last look: when moves have left, targets must be queried."""
     visited: int = 0
     words: list[str] = field(default_factory=list)
     """What the servo of joint `visited` is still asked in this visit, in reverse order."""
+
+    @classmethod
+    def of(cls, states: Sequence[JointState]) -> _Round:
+        """Return a round in which every joint is due at once."""
+        count, first_ns = len(states), 0.0 if states else math.inf
+        return cls(states, [0.0] * count, set(range(count)), [None] * count, first_ns)
 
 
 class ByNeed(QueryChoice):
@@ -336,15 +353,13 @@ class ByNeed(QueryChoice):
         super().__init__(polled)
         self._steady_ns = ns_from_s(1.0 / pace.steady_hz)
         self._strayed_ns = ns_from_s(1.0 / pace.strayed_hz)
+        self._health_later_ns = min(self._steady_ns, HEALTH_NS // 2)
         self._since_ns: dict[str, int] = {}
         """By joint, when it was first queried for its angle here."""
         self._rested_ns = None if pace.resting_hz is None else ns_from_s(1.0 / pace.resting_hz)
         self._lossy: set[str] = set()
         """Buses on which a query was not answered."""
-        self._rounds = {
-            bus: _Round(states, [0.0] * len(states), set(range(len(states))), [None] * len(states))
-            for bus, states in polled.by_bus.items()
-        }
+        self._rounds = {bus: _Round.of(states) for bus, states in polled.by_bus.items()}
         self._indices = {
             state.joint.name: index
             for states in polled.by_bus.values()
@@ -418,16 +433,18 @@ class ByNeed(QueryChoice):
     def is_due(self, bus: str, now_ns: int) -> bool:
         every = self._rounds[bus]
         self._look(bus, every)
-        while every.stale:
-            index = every.stale.pop()
-            every.dues_ns[index] = self._due_ns(bus, every.states[index])
-        return bool(every.words) or min(every.dues_ns, default=math.inf) <= now_ns
+        if every.stale:
+            while every.stale:
+                index = every.stale.pop()
+                every.dues_ns[index] = self._due_ns(bus, every.states[index])
+            every.first_ns = min(every.dues_ns)
+        return bool(every.words) or every.first_ns <= now_ns
 
     def is_behind(self, bus: str, now_ns: int) -> bool:
-        return min(self._rounds[bus].dues_ns, default=math.inf) < now_ns - self._strayed_ns
+        return self._rounds[bus].first_ns < now_ns - self._strayed_ns
 
     def next_ns(self, bus: str, now_ns: int) -> int | None:  # noqa: ARG002
-        next_ns = min(self._rounds[bus].dues_ns, default=math.inf)
+        next_ns = self._rounds[bus].first_ns
         return None if next_ns == math.inf else int(next_ns)
 
     def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
@@ -435,6 +452,7 @@ class ByNeed(QueryChoice):
         every = self._rounds[bus]
         every.words.pop()
         every.dues_ns[every.visited] = math.inf
+        every.first_ns = min(every.dues_ns)
         every.sent_bytes = self._lines[bus].sent_bytes
 
     def _look(self, bus: str, every: _Round) -> None:
@@ -444,8 +462,9 @@ class ByNeed(QueryChoice):
             self._doubts = doubts
             for one in self._rounds:
                 self.touch(one)
-        if every.sent_bytes != self._lines[bus].sent_bytes:
-            every.sent_bytes = self._lines[bus].sent_bytes
+        sent_bytes = self._lines[bus].sent_bytes
+        if every.sent_bytes != sent_bytes:
+            every.sent_bytes = sent_bytes
             for index, state in enumerate(every.states):
                 if state.last_arrival_ns != every.arrivals_ns[index]:
                     every.arrivals_ns[index] = state.last_arrival_ns
@@ -466,7 +485,7 @@ class ByNeed(QueryChoice):
             return self._quiet_until_ns(bus, state)
         place_ns += self._place_period_ns(state)
         # Health goes along with the next query for the angle, which is due soon after it.
-        health_ns = self._health_due_ns(state) + min(self._steady_ns, HEALTH_NS // 2)
+        health_ns = self._health_due_ns(state) + self._health_later_ns
         due_ns = min(place_ns, _target_ns(state), health_ns)
         return max(due_ns, self._quiet_until_ns(bus, state))
 
@@ -487,8 +506,7 @@ class ByNeed(QueryChoice):
         self._lossy.add(bus)
 
     def _resting_ns(self, state: JointState) -> int | None:
-        place_ns = self._places_ns.get(state.joint.name)
-        if self._rested_ns is None or place_ns is None:
+        if self._rested_ns is None or (place_ns := self._places_ns.get(state.joint.name)) is None:
             return None
         since_ns = self._since_ns.setdefault(state.joint.name, place_ns)
         has_moved = place_ns < max(since_ns, state.last_arrival_ns or 0) + RESTED_NS

@@ -17,7 +17,7 @@ from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from lss_motion.protocol.framing import Command, Reply, encode
+from lss_motion.protocol.framing import Command, Reply, encode_query, size_of
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -217,7 +217,9 @@ class QueryTracker:
     @property
     def give_up_ns(self) -> int | None:
         """When `expire` must be called at the latest; None: no query is in flight."""
-        return min((flight.give_up_ns for flight in self._flights.values()), default=None)
+        if not self._flights:
+            return None
+        return min([flight.give_up_ns for flight in self._flights.values()])
 
     def quiet_until_ns(self, servo_id: int) -> int:
         """Return until when a servo is not polled after a timeout."""
@@ -279,10 +281,13 @@ class QueryTracker:
 
     def _first_end_ns(self) -> int | None:
         """Return when the first flight ends, 0 without any; None: not all of them are patient."""
-        flights = self._flights.values()
-        if not all(flight.is_patient for flight in flights):
-            return None
-        return min((flight.end_ns for flight in flights), default=0)
+        first_ns = 0
+        for flight in self._flights.values():
+            if not flight.is_patient:
+                return None
+            if not first_ns or flight.end_ns < first_ns:
+                first_ns = flight.end_ns
+        return first_ns
 
     def earliest_ns(self, servo_id: int, size_bytes: int, *, is_urgent: bool = False) -> int | None:
         """Return the earliest instant at which a query of `size_bytes` may begin to leave.
@@ -308,7 +313,7 @@ class QueryTracker:
         """Return an instant before which no query to a servo without one in flight may leave."""
         if not self._flights:
             return 0
-        end_ns = max(flight.end_ns for flight in self._flights.values())
+        end_ns = max([flight.end_ns for flight in self._flights.values()])
         if self._quickest_ns is None:
             self._quickest_ns = max(link.latency.earliest_ns for link in self._links.values())
         quickest_ns = self._quickest_ns
@@ -320,7 +325,7 @@ class QueryTracker:
         `is_patient`: its answer need not be read at once.
         """
         servo_id = command.servo_id
-        arrival_ns = self._line.send(encode(command), now_ns)
+        arrival_ns = self._line.send(encode_query(command), now_ns)
         if (flight := self._flights.get(servo_id)) is None:
             link = self._links[servo_id]
             link.flights += 1
@@ -347,7 +352,7 @@ class QueryTracker:
             return []
         flight, link = self._flights[servo_id], self._links[servo_id]
         self.reply_count += 1
-        size_bytes = len(encode(reply))
+        size_bytes = size_of(reply)
         link.note_size(reply.keyword, size_bytes)
         is_timed = flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]
         # After `give_up_ns` this program was held up: that is no latency of the servo.
@@ -366,6 +371,8 @@ class QueryTracker:
 
     def expire(self, now_ns: int) -> list[PendingQuery]:
         """Give up the queries whose time is over; return them."""
+        if not self._lost and not self._flights:
+            return []
         given_up, self._lost = self._lost, []
         late = [one for one, flight in self._flights.items() if now_ns >= flight.give_up_ns]
         for servo_id in late:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.framing import Garbage, Reply, ReplyParser, encode
+from lss_motion.protocol.framing import Garbage, Reply, ReplyParser, size_of
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:
@@ -36,7 +36,10 @@ class SerialLine:
 
     def arrival_ns(self, size_bytes: int, now_ns: int) -> int:
         """Return when the last of `size_bytes` would arrive if they were handed over now."""
-        return max(now_ns, self.free_ns) + self.time_ns(size_bytes)
+        free_ns = max(now_ns, self.free_ns)
+        if size_bytes < TABLE_BYTES:  # As `time_ns`, without a call: it is needed all the time.
+            return free_ns + self._times_ns[size_bytes]
+        return free_ns + self.time_ns(size_bytes)
 
     def send(self, data: bytes, now_ns: int) -> int:
         """Hand over `data`; return when its last byte arrives at the servos."""
@@ -47,6 +50,8 @@ class SerialLine:
 
     def take(self) -> bytes:
         """Return what was handed over since the last call."""
+        if not self._out:
+            return b""
         out = bytes(self._out)
         self._out.clear()
         return out
@@ -75,5 +80,5 @@ class SerialLine:
         pairs: list[tuple[Reply, int]] = []
         for reply in reversed(received):
             pairs.append((reply, now_ns))
-            now_ns -= self.time_ns(len(encode(reply)))
+            now_ns -= self.time_ns(size_of(reply))
         return pairs[::-1]

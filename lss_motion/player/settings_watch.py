@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import KeysView, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from lss_motion.player.joint_state import JointState
 
@@ -99,6 +99,8 @@ class SettingsWatch:
             name: tuple(probe.keyword for probe in own) for name, own in probes.items()
         }
         self._doubts: dict[str, _Doubt] = {}
+        self.doubted = self._doubts.keys()
+        """The joints whose settings are in doubt."""
         self._restarted: set[str] = set()
         """Joints whose servo was proved to have restarted."""
         self._read_backs: dict[str, tuple[int, int]] = {}
@@ -117,11 +119,6 @@ class SettingsWatch:
             return None
         words = self.keywords(name)
         return words[doubt.signs % len(words)]
-
-    @property
-    def doubted(self) -> KeysView[str]:
-        """The joints whose settings are in doubt."""
-        return self._doubts.keys()
 
     def allows_moves(self, name: str) -> bool:
         """Return whether the settings of a joint are not in doubt, and not known to be lost."""

@@ -24,6 +24,9 @@ judged by a past show time."""
 PAST_MAX: Final = 4000
 """Ends of forgotten legs that are kept for the report. Chosen: more than a picture has pixels."""
 
+ASKED_MAX: Final = 16
+"""Show times whose instants are kept: the same few are asked for several times in every turn."""
+
 
 class Leg(NamedTuple):
     """Where a leader is: at `show_s` at the run instant `instant_ns`, with this rate."""
@@ -48,9 +51,8 @@ class ShowClock:
         self._past: list[tuple[int, float]] = []
         """Ends of forgotten legs, for reports."""
         self._legs: list[ClockLeg] = []
-        self._asked_s: float | None = None
-        """Show time that `instant_ns` was asked for last in this leg: that of the next move."""
-        self._reached_ns = 0
+        self._reached_ns: dict[float, int] = {}
+        """By show times that `instant_ns` was asked for in this leg: those of moves and marks."""
         self._begin(start_ns, start_s, rate, rate)
 
     @property
@@ -60,6 +62,9 @@ class ShowClock:
 
     def show_s(self, now_ns: int) -> float:
         """Return the show time at `now_ns`, also for a past instant, up to `KEPT_NS` ago."""
+        leg = self._legs[-1]
+        if leg.start_ns <= now_ns:  # Nearly always.
+            return leg.show_s(now_ns)
         for leg in reversed(self._legs):
             if leg.start_ns <= now_ns:
                 return leg.show_s(now_ns)
@@ -129,11 +134,14 @@ class ShowClock:
         """Return when the show reaches `show_s` at the present target rate; None: never."""
         if self.target_rate <= 0.0:
             return None
-        if show_s != self._asked_s:
+        reached_ns = self._reached_ns.get(show_s)
+        if reached_ns is None:
             rate = self.target_rate * (1.0 + self.trim_ratio)
-            self._asked_s = show_s
-            self._reached_ns = self.ramp_end_ns + ns_from_s((show_s - self._ramp_end_s) / rate)
-        return self._reached_ns
+            reached_ns = self.ramp_end_ns + ns_from_s((show_s - self._ramp_end_s) / rate)
+            if len(self._reached_ns) >= ASKED_MAX:
+                self._reached_ns.clear()
+            self._reached_ns[show_s] = reached_ns
+        return reached_ns
 
     def knots(self, since_ns: int, until_ns: int, step_ns: int) -> Iterator[tuple[int, float]]:
         """Yield `(instant, show time)` between which show time may be interpolated.
@@ -179,4 +187,4 @@ class ShowClock:
         self.ramp_end_ns = leg.ramp_end_ns
         """When the rate is, or was, steady again."""
         self._ramp_end_s = leg.show_s(leg.ramp_end_ns)
-        self._asked_s = None
+        self._reached_ns.clear()

@@ -391,13 +391,13 @@ class Streamer:
             if self._has_any_moved and self.scheduler.look_ahead(now_ns, self.quiet_ns(now_ns)):
                 wakeups_ns.append(now_ns + 1)
             wakeups_ns += self.scheduler.wakeups_ns(now_ns)
-        return min((w for w in wakeups_ns if w > now_ns), default=None)
+        return min([w for w in wakeups_ns if w > now_ns], default=None)
 
     def receive(self, bus: str, reply: Reply, ended_ns: int, now_ns: int) -> None:
         """Use a reply that ended at `ended_ns`, shortly before `now_ns`."""
         if self.scheduler is not None:
             self.scheduler.receive(bus, reply, ended_ns, self._expected_deg)
-            if reply.servo_id is not None and reply.keyword == "QD":
+            if reply.keyword == "QD" and reply.servo_id is not None:
                 for streamer in (*self._beside, self):
                     state = streamer.find_state((bus, reply.servo_id))
                     if state is not None:
@@ -425,7 +425,7 @@ class Streamer:
     def _next_due_ns(self) -> int | None:
         """Return when the next move is due; None: none is, at least before the next wait."""
         due = self._moves.first(US_PER_S * self.waiting.next_s)
-        return None if due is None else self._instant_ns(s_from_us(due.at_us))
+        return None if due is None else self._instant_ns(due.at_us / US_PER_S)
 
     def _instant_ns(self, show_s: float) -> int:
         instant_ns = self.clock.instant_ns(show_s)

@@ -184,6 +184,15 @@ def read_reply(
     )
 
 
+def reply_number(language: Family | Language, reply: Reply) -> float | None:
+    """Return the number in a reply as `read_reply` does, faster; None: `read_reply` has none."""
+    found = language_table(language).by_keyword.get(reply.keyword)
+    if found is None or found[0] is not Form.QUERY or not isinstance(reply.value, int):
+        return None
+    row = found[1]
+    return row.physical(reply.value) if _is_readable(row.reply_shape, reply.value) else None
+
+
 def identify_reply(family: Family, servo_id: int, queried_id: int, *, firmware: int) -> Reply:
     """Return the reply of servo `servo_id` to `#<queried_id>QID` (three shapes: FACTS.md C5)."""
     if queried_id != BROADCAST_ID:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
@@ -71,6 +72,19 @@ def encode(item: Command | Reply) -> bytes:
     elif item.servo_id is not None:
         return f"*{item.servo_id}{item.keyword}{value}\r".encode("ascii")
     return _section(item) + b"\r"
+
+
+@lru_cache(maxsize=1024)
+def encode_query(query: Command) -> bytes:
+    """Return the same bytes as `encode`, faster: the same few queries are sent all the time."""
+    return encode(query)
+
+
+def size_of(reply: Reply) -> int:
+    """Return the size of `encode(reply)` in bytes, faster."""
+    servo_id = "" if reply.servo_id is None else reply.servo_id
+    value = "" if reply.value is None else reply.value
+    return len(f"*{servo_id}{reply.keyword}{value}\r")
 
 
 def encode_move(servo_id: int, position_wire: int, duration_ms: int | None) -> bytes:
@@ -181,6 +195,16 @@ class ReplyParser(_SectionParser):
                 continue
             items.extend(self._section(data, match, b"*", _replies))
         return items
+
+
+@lru_cache(maxsize=1024)
+def commands_in(line: bytes, *, grouped: bool) -> tuple[Command, ...]:
+    """Return the commands in one whole line, as a `CommandParser` reads them.
+
+    The lines of queries are few, and come all the time, so they are kept.
+    """
+    items = CommandParser(grouped=grouped).feed(line)
+    return tuple(item for item in items if isinstance(item, Command))
 
 
 # A piece ends before the next start byte, after a CR, or at `LINE_MAX_BYTES`. The first alternative

@@ -8,7 +8,7 @@ protocol of 2023-12-14, and the LSS-2IO protocol for the 2RC mode of 2020-02-07.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from enum import StrEnum
 from fractions import Fraction
@@ -163,16 +163,21 @@ class Row:
     firmware: int = 0
     devices: tuple[Device, ...] = ()
     note: str = ""
+    _scale: tuple[int, int, float] = field(init=False, repr=False, compare=False)
+    """Numerator, denominator and value of `wire_per_unit`: a `Fraction` computes them slowly."""
+
+    def __post_init__(self) -> None:
+        numerator, denominator = self.wire_per_unit.as_integer_ratio()
+        object.__setattr__(self, "_scale", (numerator, denominator, numerator / denominator))
 
     def physical(self, wire: int) -> float:
         """Return the value in `unit`, correctly rounded; values with scale 1 stay int (codes)."""
-        if self.wire_per_unit == 1:
-            return wire
-        return wire * self.wire_per_unit.denominator / self.wire_per_unit.numerator
+        numerator, denominator, ratio = self._scale
+        return wire if ratio == 1.0 else wire * denominator / numerator
 
     def wire(self, physical: float, step: int = 1) -> int:
         """Return the nearest multiple of `step` wire units (ties to even). No range check."""
-        return round(physical * float(self.wire_per_unit) / step) * step
+        return round(physical * self._scale[2] / step) * step
 
     def allows(self, wire: int) -> bool:
         """Return whether the row accepts the wire value."""

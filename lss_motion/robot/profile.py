@@ -133,16 +133,16 @@ class Profile:
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Return position and speed at `time_s`; before the known history, its first position."""
-        for piece in reversed(self._pieces):
-            if piece.start_s <= time_s:
-                return (
-                    piece.at(time_s)
-                    if piece.speed_deg_s or piece.accel_deg_s2
-                    else (
-                        piece.position_deg,
-                        0.0,
-                    )
-                )
+        for start_s, position_deg, speed_deg_s, accel_deg_s2 in reversed(self._pieces):
+            if start_s > time_s:
+                continue
+            if not (speed_deg_s or accel_deg_s2):
+                return position_deg, 0.0
+            dt = time_s - start_s  # As `Piece.at`, without a call.
+            return (
+                position_deg + dt * (speed_deg_s + 0.5 * accel_deg_s2 * dt),
+                speed_deg_s + accel_deg_s2 * dt,
+            )
         return self._pieces[0].position_deg, 0.0
 
     @property

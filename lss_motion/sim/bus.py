@@ -14,7 +14,7 @@ import numpy as np
 
 from lss_motion.protocol.codec import storable, stored_wire
 from lss_motion.protocol.constants import BROADCAST_ID, Family
-from lss_motion.protocol.framing import Command, CommandParser
+from lss_motion.protocol.framing import commands_in
 from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, make_boards
 from lss_motion.sim.clocks import Drift
 from lss_motion.sim.faults import FOREVER_NS, FaultKind, Faults, SecondMaster
@@ -89,7 +89,6 @@ class SimBus:
         """When each servo got other settings: its `stored` faults, with wire values by name."""
         families = {spec.model.family for spec in servos}
         self._is_ordered = firmware >= ORDERED_FIRMWARE and families != {Family.LSS_PRO}
-        self._parser = CommandParser(grouped=self._is_ordered)
         self._adapter = Adapter(usb_latency_ns)
         self._host_line = HostLine(baud_bps)
         self._servo_line = ServoLine(baud_bps, Random(f"{seed}/line"), self._adapter)
@@ -116,6 +115,7 @@ class SimBus:
         ]
         is_pro = (one for one in self._servos if one.family is Family.LSS_PRO)
         self._rc_servos: list[Servo] = []
+        self._by_id: dict[int, list[Servo]] = {}
         self._usb_servo = next(is_pro, None)
         """The LSS-PRO at the end of the USB cable: the first one. The others are behind it."""
         outputs = [
@@ -146,22 +146,24 @@ class SimBus:
         Bytes that the host has written reach the servos whatever it writes later, so this
         simulates ahead as far as the bytes on the line allow.
         """
-        while self._host_line.lines:
-            end_ns = self._servo_line.next_end_ns()
-            if end_ns is not None and end_ns <= self._next_line_ns():
-                break
+        end_ns = self._servo_line.next_end_ns()
+        while self._host_line.lines and (end_ns is None or end_ns > self._next_line_ns()):
             self._receive(*self._pop_line())
-        due_ns = (self._servo_line.next_end_ns(), self._second_master.next_ns())
-        earliest_ns = min((ns for ns in due_ns if ns is not None), default=None)
-        return None if earliest_ns is None else self._drift.host_ns(earliest_ns)
+            end_ns = self._servo_line.next_end_ns()
+        other_ns = self._second_master.next_ns()
+        if end_ns is None or (other_ns is not None and other_ns < end_ns):
+            end_ns = other_ns
+        return None if end_ns is None else self._drift.host_ns(end_ns)
 
     def advance(self, now_ns: int) -> None:
         if not self._is_started:
             self._start(now_ns)
         now_ns = self._drift.bus_ns(now_ns)
-        while self._next_line_ns() <= now_ns:
-            self._receive(*self._pop_line())
-        self._turn_until(now_ns)
+        if self._host_line.lines or self._second_master.is_there:
+            while self._next_line_ns() <= now_ns:
+                self._receive(*self._pop_line())
+        if self._faults.has_turns:
+            self._turn_until(now_ns)
         self.motors.advance(now_ns)
 
     @property
@@ -189,10 +191,12 @@ class SimBus:
 
         A restart of the LSS-PRO at the end of the USB cable adds an outage.
         """
-        outages_ns = self._outages_ns
-        if not outages_ns:  # It is read at each access to a port.
-            return []
-        return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in outages_ns]
+        return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._outages_ns]
+
+    @property
+    def has_outages(self) -> bool:
+        """Whether the port is unplugged at any time: it is looked at in each access to a port."""
+        return bool(self._outages_ns)
 
     def blocks_ns(self) -> list[tuple[int, int]]:
         """Return when the port takes no bytes of the host; after the first instant."""
@@ -245,10 +249,15 @@ class SimBus:
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
         for servo in self._servos:
             servo.power_up(self._drift.bus_ns(now_ns))
-        self._find_rc_servos()
+        self._sort_servos()
 
-    def _find_rc_servos(self) -> None:
+    def _sort_servos(self) -> None:
+        """Note which servos have which id, and which obey pulses: restarts and faults change it."""
         self._rc_servos = [servo for servo in self._servos if servo.is_in_rc_mode]
+        self._by_id = {BROADCAST_ID: self._servos}
+        for servo in self._servos:
+            if servo.servo_id != BROADCAST_ID:
+                self._by_id.setdefault(servo.servo_id, []).append(servo)
 
     def _drop_port(self, now_ns: int) -> None:
         """Take the port away while the servo restarts that is its USB device (FACTS.md P12)."""
@@ -257,8 +266,11 @@ class SimBus:
 
     def _next_line_ns(self) -> int:
         """Return when the next line reaches the servos, from this host or another."""
-        lines, other_ns = self._host_line.lines, self._second_master.next_ns()
+        lines = self._host_line.lines
         own_ns = lines[0][0] if lines else FOREVER_NS
+        if not self._second_master.is_there:
+            return own_ns
+        other_ns = self._second_master.next_ns()
         return own_ns if other_ns is None else min(own_ns, other_ns)
 
     def _pop_line(self) -> tuple[int, bytes]:
@@ -270,7 +282,8 @@ class SimBus:
     # -- what the servos receive ----------------------------------------------------------------
 
     def _receive(self, received_ns: int, sent: bytes) -> None:
-        self._turn_until(received_ns)
+        if self._faults.has_turns:
+            self._turn_until(received_ns)
         self.motors.advance(received_ns)
         for servo in self._rc_servos:
             servo.note_line(received_ns)
@@ -281,7 +294,7 @@ class SimBus:
             self._deliver_to_boards(received_ns, line)
 
     def _deliver_to_servos(self, received_ns: int, line: bytes) -> None:
-        commands = [item for item in self._parser.feed(line) if isinstance(item, Command)]
+        commands = commands_in(line, grouped=self._is_ordered)
         answers: list[Answer] = []
         for command in commands:
             for servo in self._meant(command.servo_id):
@@ -292,17 +305,18 @@ class SimBus:
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
                 if not servo.is_listening(received_ns):  # It restarts.
-                    self._find_rc_servos()
+                    self._sort_servos()
                     if servo is self._usb_servo:
                         self._drop_port(received_ns)
-        is_group = self._is_ordered and len(commands) > 1
-        is_to_all = [command.servo_id == BROADCAST_ID for command in commands]
-        if is_group and not any(is_to_all):
-            self._answering.send_in_turn(received_ns, answers)
-        elif is_group and all(is_to_all):
-            self._answering.send_in_slots(received_ns, answers)
-        else:
-            self._answering.send_each(received_ns, answers)
+        if self._is_ordered and len(commands) > 1:
+            is_to_all = [command.servo_id == BROADCAST_ID for command in commands]
+            if not any(is_to_all):
+                self._answering.send_in_turn(received_ns, answers)
+                return
+            if all(is_to_all):
+                self._answering.send_in_slots(received_ns, answers)
+                return
+        self._answering.send_each(received_ns, answers)
 
     def _deliver_to_boards(self, received_ns: int, line: bytes) -> None:
         for board in self._boards:
@@ -328,15 +342,13 @@ class SimBus:
                 self.received[index].append(entry)
 
     def _meant(self, servo_id: int) -> list[Servo]:
-        if servo_id == BROADCAST_ID:
-            return self._servos
-        return [servo for servo in self._servos if servo.servo_id == servo_id]
+        return self._by_id.get(servo_id, [])
 
     # -- faults ---------------------------------------------------------------------------------
 
     def _receives(self, servo: Servo, now_ns: int) -> bool:
         is_deaf = self._faults.is_deaf(servo.servo_id, now_ns)
-        return servo.baud_bps == self.baud_bps and servo.is_listening(now_ns) and not is_deaf
+        return servo.baud_bps == self.baud_bps and not is_deaf and servo.is_listening(now_ns)
 
     def _turn_until(self, now_ns: int) -> None:
         """Begin and end the faults of servos that are due."""
@@ -378,11 +390,12 @@ class SimBus:
                 self.restarts_ns[index].append(at_ns)
                 if servo is not None:
                     servo.reset(turn.due_ns, fault.deaf_s)
-                    self._find_rc_servos()
+                    self._sort_servos()
             case FaultKind.STORED:
                 self.stored_ns[index].append((at_ns, fault.settings))
                 if servo is not None:
                     servo.store(fault.settings, turn.due_ns)
+                    self._sort_servos()
             case _ if servo is not None:
                 servo.rescale(fault.setting, fault.scale_ratio, turn.due_ns)
 

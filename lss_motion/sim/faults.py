@@ -252,6 +252,11 @@ class Faults:
         """Return when rows of a kind begin and end, in order of time."""
         return sorted(f.span_ns(self._origin_ns) for f in self._faults if f.kind is kind)
 
+    @property
+    def has_turns(self) -> bool:
+        """Whether a fault of a servo still begins or ends."""
+        return bool(self._turns)
+
     def next_turn_ns(self) -> int | None:
         return self._turns[-1].due_ns if self._turns else None
 
@@ -283,11 +288,15 @@ class Faults:
         return lines
 
     def is_deaf(self, servo_id: int, now_ns: int) -> bool:
+        if not self._deafness:
+            return False
         active = self._active(self._deafness, now_ns, servo_id)
         return any(fault.strikes(self._random) for fault in active)
 
     def sender(self, servo_id: int, now_ns: int) -> int:
         """Return the id that a servo puts into its reply."""
+        if not self._wrong_ids:
+            return servo_id
         for fault in self._active(self._wrong_ids, now_ns, servo_id):
             if fault.strikes(self._random):
                 return fault.as_id
@@ -356,6 +365,11 @@ class SecondMaster:
         for index, fault in enumerate(self._rows):
             from_ns, until_ns = fault.span_ns(now_ns)
             heapq.heappush(self._due, (from_ns, index, until_ns))
+
+    @property
+    def is_there(self) -> bool:
+        """Whether it still sends lines."""
+        return bool(self._due)
 
     def next_ns(self) -> int | None:
         """Return when its next line arrives at the servos; None: never."""

@@ -42,8 +42,10 @@ class Power:
         self.battery_v = physics.supply_v
         """Voltage of the supply without load."""
         self._model_deg_s = model_deg_s
-        self.duty_ratio = np.ones(count)
-        self.strength_ratio = np.ones(count)
+        self._duty_ratio = np.ones(count)
+        self._strength_ratio = np.ones(count)
+        self._nominal_deg_s = model_deg_s.copy()
+        """Top speeds at the nominal voltage."""
         self.motor_ma = np.zeros(count)
         self.stuck_s = np.zeros(count)
         self._is_any_stuck = False
@@ -57,18 +59,23 @@ class Power:
         passed_s: float,
         horn_deg_s: NDArray[np.float64],
         gap_deg: NDArray[np.float64],
-        droop_deg: NDArray[np.float64],
+        droop_deg: NDArray[np.float64] | None,
         is_powered: NDArray[np.bool_],
     ) -> None:
-        """Update from the motion of the horns in the last `passed_s`."""
+        """Update from the motion of the horns in the last `passed_s`; no `droop_deg`: no load."""
         physics = self._physics
         self._temperature_c = self.temperatures_c(passed_s)
-        running_ratio = np.abs(horn_deg_s) / self._model_deg_s
-        held_ma = physics.running_ma * running_ratio + physics.load_ma_per_deg * np.abs(droop_deg)
-        self.motor_ma = is_powered * held_ma
-        behind = np.abs(gap_deg) > physics.stall_deg
-        self._is_any_stuck = any(behind.tolist()) or any(self.stuck_s.tolist())
+        held_ma = np.abs(horn_deg_s)
+        held_ma /= self._model_deg_s
+        held_ma *= physics.running_ma
+        if droop_deg is not None:
+            held_ma += physics.load_ma_per_deg * np.abs(droop_deg)
+        self.motor_ma = np.multiply(is_powered, held_ma, out=held_ma)
+        gaps_deg = gap_deg.tolist()
+        is_any_behind = max(gaps_deg) > physics.stall_deg or min(gaps_deg) < -physics.stall_deg
+        self._is_any_stuck = is_any_behind or (self._is_any_stuck and any(self.stuck_s.tolist()))
         if self._is_any_stuck:
+            behind = np.abs(gap_deg) > physics.stall_deg
             stalled = behind & is_powered & (np.abs(horn_deg_s) < TURNING_DEG_S)
             self.motor_ma = np.where(stalled, physics.stall_ma, self.motor_ma)
             self.stuck_s = np.where(stalled, self.stuck_s + passed_s, 0.0)
@@ -82,8 +89,8 @@ class Power:
     def safe_causes(self) -> list[tuple[int, SafeCause]]:
         """Return the servos that a safety limit stops now."""
         causes: list[tuple[int, SafeCause]] = []
-        is_hot = self._temperature_c > self._physics.temperature_max_c
-        if any(is_hot.tolist()):
+        if max(self._temperature_c.tolist()) > self._physics.temperature_max_c:
+            is_hot = self._temperature_c > self._physics.temperature_max_c
             causes += [(index, SafeCause.TEMPERATURE) for index in np.flatnonzero(is_hot).tolist()]
         if not self._is_supplied():
             causes += [(index, SafeCause.VOLTAGE) for index in range(len(self.motor_ma))]
@@ -105,7 +112,10 @@ class Power:
         """Return the temperatures `passed_s` after the last `feel`, with currents unchanged."""
         final_c = self._final_c()
         remaining = math.exp(-passed_s / self._physics.heating_s)
-        return final_c + (self._temperature_c - final_c) * remaining
+        temperature_c = self._temperature_c - final_c
+        temperature_c *= remaining
+        temperature_c += final_c
+        return temperature_c
 
     def supply_v(self) -> float:
         """Return the voltage at the servos: the battery less the drop of all currents."""
@@ -117,11 +127,24 @@ class Power:
 
     def _top_deg_s(self) -> NDArray[np.float64]:
         ratio = self._felt_v / self._physics.nominal_v
-        return self._model_deg_s * self.duty_ratio * self.strength_ratio * ratio
+        return self._nominal_deg_s * ratio
+
+    def set_duty(self, index: int, ratio: float) -> None:
+        """Let a motor reach that share of its top speed by its settings."""
+        self._duty_ratio[index] = ratio
+        self._nominal_deg_s = self._model_deg_s * self._duty_ratio * self._strength_ratio
+
+    def weaken(self, index: int, ratio: float) -> None:
+        """Let a motor reach that share of its top speed, since it is weak."""
+        self._strength_ratio[index] = ratio
+        self._nominal_deg_s = self._model_deg_s * self._duty_ratio * self._strength_ratio
 
     def _final_c(self) -> NDArray[np.float64]:
         amperes = self.motor_ma / 1000.0
-        return self._physics.ambient_c + self._physics.heating_c_per_a2 * amperes * amperes
+        final_c = self._physics.heating_c_per_a2 * amperes
+        final_c *= amperes
+        final_c += self._physics.ambient_c
+        return final_c
 
 
 class Motors:
@@ -172,7 +195,8 @@ class Motors:
             self._disturb(index, taken_ns)
             if self.safe_cause[index] is SafeCause.NONE:
                 self._drives.take_up(index, taken_ns, order)
-        self._tick_until(now_ns)
+        if now_ns >= self._tick_ns + TICK_NS:
+            self._tick_until(now_ns)
 
     def order(self, index: int, received_ns: int, order: Order) -> None:
         """Give servo `index` an order; it starts at its first control loop from `received_ns`."""
@@ -224,7 +248,7 @@ class Motors:
     def weaken(self, index: int, now_ns: int, speed_ratio: float) -> None:
         """Limit a motor to that share of its top speed."""
         self._disturb(index, now_ns)
-        self.power.strength_ratio[index] = speed_ratio
+        self.power.weaken(index, speed_ratio)
 
     def supply(self, now_ns: int, battery_v: float | None) -> None:
         """Set the voltage of the supply without load; None: that of `physics`."""
@@ -274,16 +298,16 @@ class Motors:
 
     def seen_deg(self, index: int, raw_deg: float) -> float:
         """Return a raw angle as the host reads it: from the origin, in the gyre's direction."""
-        return float(self.gyre[index] * (raw_deg - self.origin_deg[index]))
+        return self.gyre.item(index) * (raw_deg - self.origin_deg.item(index))
 
     def raw_deg(self, index: int, seen_deg: float) -> float:
-        return float(self.gyre[index] * seen_deg + self.origin_deg[index])
+        return self.gyre.item(index) * seen_deg + self.origin_deg.item(index)
 
     # -- the grid ---------------------------------------------------------------------------------
 
     def _catch_up(self, index: int, now_ns: int) -> None:
         """Bring one horn to `now_ns`, through the ends of its phases."""
-        top_deg_s = float(self.power.top_deg_s[index])
+        top_deg_s = self.power.top_deg_s.item(index)
         while (end_ns := self.horns.end_ns[index]) <= now_ns:
             self.horns.coast(index, end_ns, top_deg_s)
             self._drives.next_phase(index, end_ns)
@@ -305,23 +329,26 @@ class Motors:
             self._step(self._tick_ns + TICK_NS)
 
     def _step(self, now_ns: int) -> None:
-        for index, end_ns in enumerate(self.horns.end_ns):
-            if end_ns <= now_ns:
-                self._catch_up(index, now_ns)
+        if min(self.horns.end_ns) <= now_ns:
+            for index, end_ns in enumerate(self.horns.end_ns):
+                if end_ns <= now_ns:
+                    self._catch_up(index, now_ns)
         self.horns.sag(self._drives.is_powered)
         self.horns.step(now_ns, self.power.top_deg_s)
-        for index in list(self._led):
-            self._lead(index, now_ns)
-        for index in list(self._pushes):
-            self._push(index, now_ns)
+        if self._led:
+            for index in list(self._led):
+                self._lead(index, now_ns)
+        if self._pushes:
+            for index in list(self._pushes):
+                self._push(index, now_ns)
         self._feel(now_ns)
         self._record(now_ns)
-        is_moving = any(
-            phase.speed_deg_s != 0.0 or phase.duration_s != math.inf for phase in self.horns.phases
+        self._is_quiet = (
+            not (self._led or self._pushes)
+            and not self.horns.is_moving()
+            and self.horns.is_settled()
+            and self.power.is_steady()
         )
-        is_touched = self._led or self._pushes
-        is_still = not is_moving and not is_touched and self.horns.is_settled()
-        self._is_quiet = is_still and self.power.is_steady()
 
     def _lead(self, index: int, now_ns: int) -> None:
         """Move a horn by hand until the next point of the grid, or until the hand ends."""
@@ -354,7 +381,8 @@ class Motors:
         horns, power = self.horns, self.power
         passed_s = s_from_ns(now_ns - self._tick_ns)
         self._tick_ns = now_ns
-        power.feel(passed_s, horns.deg_s, horns.gap_deg, horns.droop_deg, self._drives.is_powered)
+        droop_deg = horns.droop_deg if horns.may_droop else None
+        power.feel(passed_s, horns.deg_s, horns.gap_deg, droop_deg, self._drives.is_powered)
         for index in power.stuck():
             limit = self._limits_ma[index]
             if limit is not None and power.motor_ma[index] > limit[0]:

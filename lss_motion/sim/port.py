@@ -32,17 +32,24 @@ class SimPort:
         self._outbox = Outbox(self.url, bus.baud_bps, self._take, lambda: 0)
 
     def write(self, data: bytes) -> None:
-        self._outbox.write(data, self._plugged_ns())
+        now_ns = self._plugged_ns()
+        if self._blocks_ns:
+            self._outbox.write(data, now_ns)
+        else:
+            self.bus.write(data, now_ns)
 
     def read(self) -> bytes:
         now_ns = self._plugged_ns()
-        self._outbox.flush(now_ns)
+        if self._blocks_ns:
+            self._outbox.flush(now_ns)
         return self.bus.read(now_ns)
 
     def fileno(self) -> int | None:
         return None
 
     def next_arrival_ns(self) -> int | None:
+        if not self._blocks_ns:
+            return self.bus.next_arrival_ns()
         instants_ns = (self.bus.next_arrival_ns(), *self._outbox_turns_ns())
         return min((at_ns for at_ns in instants_ns if at_ns is not None), default=None)
 
@@ -88,6 +95,6 @@ class SimPort:
 
     def _plugged_ns(self) -> int:
         """Return the instant; raise `BusError` if the port was unplugged since it was opened."""
-        if not self._is_plugged():
+        if self.bus.has_outages and not self._is_plugged():
             raise LostPortError(f"lost port {self.url}: it was unplugged", url=self.url)
         return self._clock.now_ns()

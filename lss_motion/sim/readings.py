@@ -195,6 +195,8 @@ class Readings:
     def value(self, row: Row, suffix: Suffix | None, now_ns: int) -> int | str | None:
         """Return what a query of `row` answers at `now_ns`; None: nothing after the keyword."""
         match suffix:
+            case None:
+                return self._plain(row, now_ns)
             case Suffix.CAUSE:
                 return int(self._motors.safe_cause[self._index])
             case Suffix.FULL_VERSION:
@@ -205,14 +207,17 @@ class Readings:
                 return self._speed_in(row, self._motors.travel_deg_s(self._index))
             case Suffix.CONFIGURED:
                 return self._settings.read(row, is_configured=True)
-            case _ if row.name in self._answers:
-                return self._answers[row.name]
             case _:
-                measure = self._measured.get(row.name)
-                if measure is not None:
-                    return measure(now_ns)
-                value = self._settings.read(row, is_configured=False)
-                return 0 if value is None and row.reply_shape is ReplyShape.INTEGER else value
+                return self._plain(row, now_ns)
+
+    def _plain(self, row: Row, now_ns: int) -> int | str | None:
+        if row.name in self._answers:
+            return self._answers[row.name]
+        measure = self._measured.get(row.name)
+        if measure is not None:
+            return measure(now_ns)
+        value = self._settings.read(row, is_configured=False)
+        return 0 if value is None and row.reply_shape is ReplyShape.INTEGER else value
 
     def position_deg(self, now_ns: int) -> float:
         """Return the angle that the encoder shows, as the host sees angles."""

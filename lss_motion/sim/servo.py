@@ -511,4 +511,4 @@ class Servo:
         steps = self.settings.number("SM")
         if steps:
             ratio *= self.settings.factory("SM") / steps
-        self._motors.power.duty_ratio[self.index] = ratio
+        self._motors.power.set_duty(self.index, ratio)

@@ -84,6 +84,8 @@ class HostLine:
     def _arrival_ns(self) -> int:
         left_ns = line_time_ns(self._burst_bytes, self._baud_bps)
         at_ns = self._burst_ns
+        if not self._clogs_ns:
+            return at_ns + left_ns
         for from_ns, until_ns in self._clogs_ns:
             if until_ns > at_ns and from_ns < at_ns + left_ns:
                 left_ns -= max(from_ns - at_ns, 0)
@@ -340,7 +342,7 @@ class Answering:
     def send_each(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send every reply after its own turnaround; replies that overlap damage each other."""
         for answer in answers:
-            self._send([answer], self._start_ns(answer, received_ns, 1))
+            self._send((answer,), self._start_ns(answer, received_ns, 1))
 
     def send_in_turn(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send the replies to a group line one after another, in its order (FACTS.md W17)."""
@@ -402,12 +404,12 @@ class Answering:
         """Send replies of one sender together, after its last ones; return when they end."""
         talker, servo_id, _, _ = answers[0]
         sender = self._faults.sender(servo_id, start_ns)
-        replies = [
-            answer.reply._replace(servo_id=sender)
-            if sender != servo_id and answer.reply.servo_id == servo_id
-            else answer.reply
-            for answer in answers
-        ]
+        replies = [answer.reply for answer in answers]
+        if sender != servo_id:
+            replies = [
+                reply._replace(servo_id=sender) if reply.servo_id == servo_id else reply
+                for reply in replies
+            ]
         data = encode_joined(replies) if len(replies) > 1 else encode(replies[0])
         if not has_end:
             data = data.removesuffix(b"\r")

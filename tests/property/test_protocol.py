@@ -14,6 +14,7 @@ from lss_motion.protocol.codec import (
     make_reply,
     read_command,
     read_reply,
+    reply_number,
 )
 from lss_motion.protocol.framing import (
     LINE_MAX_BYTES,
@@ -22,9 +23,12 @@ from lss_motion.protocol.framing import (
     Garbage,
     Reply,
     ReplyParser,
+    commands_in,
     encode,
     encode_group,
     encode_move,
+    encode_query,
+    size_of,
 )
 from lss_motion.protocol.table import WIRE_MAX, WIRE_MIN, Form, ReplyShape, Row, Value
 
@@ -96,6 +100,7 @@ def test_a_command_comes_back_from_its_bytes_and_from_its_physical_values(
 ) -> None:
     family, command = spoken
     assert CommandParser().feed(encode(command)) == [command]
+    assert commands_in(encode_query(command), grouped=True) == (command,)
     said = read_command(family, command)
     assert said is not None
     assert not isinstance(said.value, str)
@@ -110,8 +115,11 @@ def test_a_reply_comes_back_from_its_bytes_and_from_its_physical_value(
 ) -> None:
     family, reply = spoken
     assert ReplyParser().feed(encode(reply)) == [reply]
+    assert size_of(reply) == len(encode(reply))
     said = read_reply(family, reply)
     assert said is not None
+    number = said.value if isinstance(said.value, int | float) else None
+    assert reply_number(family, reply) == number
     assert make_reply(family, reply.servo_id, said.keyword, said.value) == reply
 
 

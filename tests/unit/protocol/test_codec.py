@@ -13,6 +13,7 @@ from lss_motion.protocol.codec import (
     make_reply,
     read_command,
     read_reply,
+    reply_number,
 )
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
@@ -125,6 +126,8 @@ def test_keywords_of_another_family_are_read_as_none() -> None:
     assert read_reply(PRO, Reply(5, "QV", 11200)) is None
     assert read_reply(LSS, Reply(5, "AR", 1800)) is None
     assert read_reply(LSS, Reply(5, "D", 1800)) is None
+    assert reply_number(PRO, Reply(5, "QV", 11200)) is None
+    assert reply_number(LSS, Reply(5, "D", 1800)) is None
 
 
 def test_a_2io_ignores_modifiers() -> None:
