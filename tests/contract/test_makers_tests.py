@@ -39,12 +39,12 @@ class Bench:
         self.now_ns = 0
         self.bus.advance(0)
 
-    def write(self, command: str) -> None:
-        self.bus.write(f"#5{command}\r\r".encode(), self.now_ns)
+    def write(self, command: str, servo_id: int = 5) -> None:
+        self.bus.write(f"#{servo_id}{command}\r\r".encode(), self.now_ns)
         self.wait_s(0.005)
 
-    def read(self, command: str) -> str:
-        self.write(command)
+    def read(self, command: str, servo_id: int = 5) -> str:
+        self.write(command, servo_id)
         self.wait_s(0.005)
         return self.bus.read(self.now_ns).decode()
 
@@ -112,6 +112,8 @@ def test_an_acknowledging_servo_repeats_what_it_received():
     assert bench.read("D900") == "*5D900\r"
     assert bench.read("CSD500") == "*5CSD500\r"
     assert bench.read("QD").startswith("*5QD")
+    assert bench.read("D800", servo_id=254) == "", "all servos would send at once"
+    assert bench.read("QDT") == "*5QDT800\r"
     assert bench.read("ECR0") == "*5ECR0\r"
     assert bench.read("D100") == ""
     bench.write("ECR1")

@@ -28,6 +28,13 @@ def test_newer_lss_pro_firmware_has_other_status_numbers() -> None:
     ]
 
 
+def test_an_lss_pro_without_an_answer_to_qf_is_taken_for_a_newer_one() -> None:
+    """So one that holds with older firmware is shown as in error, and not the reverse."""
+    assert status_from(5, Family.LSS_PRO, None) is Status.HOLDING
+    assert status_from(6, Family.LSS_PRO, None) is Status.ERROR
+    assert status_from(6, Family.LSS, None) is Status.HOLDING
+
+
 @pytest.mark.parametrize("code", [-1, 11, 1000])
 def test_a_status_code_that_does_not_exist_is_unknown(code: int) -> None:
     assert status_from(code, Family.LSS, 370) is Status.UNKNOWN
