@@ -13,11 +13,12 @@ comes back (CR as `|`; several lines are sent at once); `? LINE ~ N ± M` the nu
 `horns DEG DEG` that of the second servo too, `limp` and `holds` its motor, `lamp COLOUR [blinking]`
 its LED; `power` switches off and on; `pulse US` and `pulse off` are RC pulses. `servo` gives what
 the servo is: `model`, `id`, `firmware`, `start` (degrees), `twin` (id of a second one), `physics`,
-`stuck`, `stored`.
+`stuck`, `stored`. `effect: none` marks a row in which nothing that is sent has an effect.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from pathlib import Path
@@ -37,6 +38,8 @@ TESTS = Path(__file__).resolve().parents[1]
 DOCUMENTS = {"lss": "LSS-HS1", "lss_pro": "LSS-P-S1", "lss_2io": "LSS-2IO"}
 TITLES = {"lss": "LSS", "lss_pro": "PRO", "lss_2io": "2IO"}
 WITHIN_DEG = 0.15
+ACTING = (">", "raw", "rate", "pulse")
+"""Steps that do something to a servo."""
 
 
 def rows_of(document: str) -> list[dict[str, Any]]:
@@ -191,6 +194,19 @@ def test_every_row_is_checked_or_decided(document):
         assert len(row.get("decided", "a reason in words")) > 15, row
         if "do" in row:
             assert any(step[0] != ">" for step in row["do"]), f"nothing is judged: {row}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_what_a_row_judges_comes_of_what_it_sends(document):
+    """A row that passes when nothing is sent shows nothing, unless that is what it says."""
+    for row in ROWS[document]:
+        left = [step for step in row.get("do", []) if step.split(" ")[0] not in ACTING]
+        if len(left) == len(row.get("do", [])):
+            continue
+        bench = Bench(document, row.get("servo", {}))
+        with contextlib.nullcontext() if "effect" in row else pytest.raises(AssertionError):
+            for step in left:
+                bench.step(step)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
