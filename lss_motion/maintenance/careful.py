@@ -100,6 +100,7 @@ class CarefulRun(JointRun):
         super().__init__(joint, robot, answers, window, standing_deg=standing_deg)
         self.found: Careful | None = None
         self._way_deg = way_deg
+        self._identify_command = robot.identify_command(joint.name)
         self._legs = deque(make_legs(joint, robot, standing_deg, way_deg))
         self._count = len(self._legs)
         self._leg: Leg | None = None
@@ -338,7 +339,7 @@ class CarefulRun(JointRun):
         turned_deg = [leg.sign * (deg - self._rested_deg) for deg in trial.readings_deg]
         result = measured(leg, times_s, turned_deg)
         self._results.append(result)
-        if cause := judgement(self.joint, leg, result):
+        if cause := judgement(self.joint, leg, result, self._identify_command):
             self.error = self._fault(cause)
 
     def _conclude(self) -> None:

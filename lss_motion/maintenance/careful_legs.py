@@ -286,7 +286,7 @@ def lag_scatter_s(leg: Leg) -> float:
     return SCATTER_DEG / leg.course.peak_deg_s
 
 
-def judgement(joint: Joint, leg: Leg, found: Measured) -> str:
+def judgement(joint: Joint, leg: Leg, found: Measured, identify_command: str) -> str:
     """Return how the leg deviates from what is expected, and what to do; '' if it does not."""
     if found.way_ratio < ARRIVED_RATIO:
         turned_deg = found.way_ratio * leg.course.way_deg
@@ -301,7 +301,7 @@ def judgement(joint: Joint, leg: Leg, found: Measured) -> str:
             f"is {MS_PER_S * found.lag_s:.0f} ms later than its profile, "
             f"{MS_PER_S * assumed_s:.0f} ms are assumed (`response` of the joint), and "
             f"{MS_PER_S * LAG_MAX_S:.0f} ms more can be corrected. Lighten its load, or measure "
-            f"it: lss-motion identify {joint.name}"
+            f"it: {identify_command}"
         )
     if not 1.0 / RATIO_MAX <= found.speed_ratio <= RATIO_MAX:
         tested = MEANS.get(leg.tests, "its speed")

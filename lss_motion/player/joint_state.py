@@ -101,6 +101,8 @@ class JointState:
     """The joint's own range. A servo that stood outside has wider limits, until it is back."""
     origin_s: float = 0.0
     """Instant of show time 0 on the run clock."""
+    identify_command: str = ""
+    """What measures its servo."""
     active: Move | None = None
     """The move of the program that is under way, or the last one."""
     deferred: DeferredTarget | None = None
@@ -548,12 +550,8 @@ class JointState:
         text = self.disturbance.horn.finding
         if not text and self.disturbance.offset_max_deg >= OFFSET_MAX_DEG:
             text = f"its load pulls it by {OFFSET_MAX_DEG:g} deg or more"
-        name = self.joint.name
-        remedy = (
-            f"measure it: lss-motion identify {name} --robot FILE; with --from LOG the log of a "
-            f"show (--log) is enough"
-        )
-        return f"joint {name!r}: {text}; {remedy}" if text else ""
+        remedy = f"measure it: {self.identify_command} ; with --from LOG a show's log is enough"
+        return f"joint {self.joint.name!r}: {text}; {remedy}" if text else ""
 
     def standing_offset_deg(self, now_ns: int) -> float | None:
         """Return the correction that a joint at rest needs in place of its own; None: none."""
@@ -627,6 +625,7 @@ def make_joint_states(
             lead_s=profile_lead_s(joint),
             range_deg=ranges_deg.get(name, (limits.position_min_deg, limits.position_max_deg)),
             origin_s=origin_s,
+            identify_command=robot.identify_command(name),
             lost_moves=LostMoveDetector(joint.unit_deg, joint.response.loop_s)
             if has_feedback
             else None,

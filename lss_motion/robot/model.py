@@ -6,6 +6,7 @@ They are immutable. `robot.load` makes them from files.
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -308,6 +309,11 @@ class Robot:
     """What it looks like, for pictures; no motion depends on it."""
     urdf: UrdfSource | None = None
     """A URDF file in place of `figure`: `robot.urdf` reads it."""
+
+    def identify_command(self, name: str) -> str:
+        """Return the command line that measures a joint."""
+        file = "FILE" if self.path is None else shlex.quote(str(self.path))
+        return f"lss-motion identify {name} --robot {file}"
 
     def __repr__(self) -> str:
         """Return one line: name and counts."""

@@ -93,6 +93,6 @@ def test_the_readings_of_a_leg_are_judged(lag_s, ratio, lost_deg, text):
     course_deg = np.array([leg.course.at(ratio * (time_s - lag_s))[0] for time_s in times_s])
     turned_deg = np.maximum(course_deg - lost_deg, 0.0)
     found = measured(leg, times_s.tolist(), turned_deg.tolist())
-    said = judgement(one, leg, found)
+    said = judgement(one, leg, found, ROBOT.identify_command(one.name))
     assert text in said
     assert bool(text) is bool(said)
