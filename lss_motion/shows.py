@@ -8,14 +8,15 @@ from __future__ import annotations
 import dataclasses
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping
+    from typing import Any
 
     from lss_motion.gait.model import Gait
     from lss_motion.program.model import Program
@@ -98,6 +99,21 @@ def load(
         if robot.read_limits:  # A gait in it was paced for other limits.
             sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     return sequence, robot
+
+
+def logged_robot(
+    log: Path, played: Mapping[str, Any], read_robot: Callable[[Path], Robot]
+) -> Robot:
+    """Return the robot of the show that wrote `log`, by what its head says (`played`)."""
+    from lss_motion.program.text import load_program
+
+    if played.get("robot"):
+        return read_robot(Path(played["robot"]))
+    if "file" not in played:
+        raise InputError("does not name the file that was played; add --robot FILE", path=log)
+    file = Path(played["file"])
+    reads = load_program(file, read_robot) if is_program(file) else load(file, None, read_robot)
+    return reads[1]
 
 
 def files_of(sequence: Sequence) -> Iterator[Path]:

@@ -306,20 +306,14 @@ def _write_mcap(
 ) -> None:
     """Write a log as MCAP; the log names the robot if `robot_path` does not."""
     from lss_motion import shows
-    from lss_motion.program.text import load_program
     from lss_motion.runtime.log_mcap import mcap_of_log
     from lss_motion.runtime.replay import read_log
 
     played, entries = read_log(log)
-    robot_path = robot_path or (Path(played["robot"]) if played.get("robot") else None)
     if robot_path is not None:
         robot = read_robot(robot_path)
-    elif "file" not in played:
-        raise InputError("does not name the file that was played; add --robot FILE", path=log)
-    elif shows.is_program(Path(played["file"])):
-        _, robot = load_program(Path(played["file"]), read_robot)
     else:
-        _, robot = shows.load(Path(played["file"]), None, read_robot)
+        robot = shows.logged_robot(log, played, read_robot)
     write_output(output, mcap_of_log(entries, robot))
     print(f"{output}: {len(entries)} lines of {log}")
 

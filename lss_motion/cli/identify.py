@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -30,7 +31,8 @@ from lss_motion.files.output import Kind, Output, require_outputs
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from typing import Any
 
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
@@ -141,7 +143,8 @@ def _from_log(arguments: argparse.Namespace) -> int:
 
     robot = robot_at(arguments.robot, None)
     _check_from_log(arguments)
-    _, entries = read_log(arguments.log)
+    played, entries = read_log(arguments.log)
+    _require_its_log(arguments.log, played, robot)
     logged = (
         LoggedBytes(entry.at_ns, entry.bus, entry.kind == ">", entry.data)
         for entry in entries
@@ -159,11 +162,35 @@ def _from_log(arguments: argparse.Namespace) -> int:
         try:
             result = identify_from_show(found[name])
         except PlaybackError as error:
-            print(f"  {error}")
+            print(f"  {error}: {robot.identify_command(name)}")
             continue
-        _write(arguments, path, robot.joints[name], result, f"from {arguments.log.name}, ")
+        how = f"from {arguments.log.name}, "
+        _write(arguments, path, robot.joints[name], result, how, robot.identify_command(name))
         path, is_measured = path if arguments.no_write else arguments.output or path, True
     return EXIT_FINISHED if is_measured else EXIT_NOT_FOLLOWED
+
+
+def _require_its_log(log: Path, played: Mapping[str, Any], robot: Robot) -> None:
+    """Refuse the log of a show whose robot file has other servos than `robot`.
+
+    Where that file, or the show, cannot be read any more, nothing is known.
+    """
+    from lss_motion import shows
+
+    try:
+        logged = shows.logged_robot(log, played, partial(robot_at, port=None))
+    except InputError:
+        return
+    servos, others = (
+        {(name, one.bus, one.servo_id, one.model.name) for name, one in which.joints.items()}
+        for which in (robot, logged)
+    )
+    if servos != others:
+        raise InputError(
+            f"was played with the robot file {logged.path}, which has other servos than "
+            f"{robot.path}; add --robot {logged.path}",
+            path=log,
+        )
 
 
 def _check_from_log(arguments: argparse.Namespace) -> None:
@@ -282,9 +309,17 @@ def _conclude(
 
 
 def _write(
-    arguments: argparse.Namespace, path: Path, joint: Joint, found: Identified, how: str = ""
+    arguments: argparse.Namespace,
+    path: Path,
+    joint: Joint,
+    found: Identified,
+    how: str = "",
+    experiment: str = "",
 ) -> None:
-    """Print a result and how it differs from the robot file; write it into the one at `path`."""
+    """Print a result and how it differs from the robot file; write it into the one at `path`.
+
+    `how` it was measured, and what command would tell what is left open.
+    """
     from lss_motion.maintenance.identify import summary
     from lss_motion.robot.write import write_response
 
@@ -298,6 +333,8 @@ def _write(
     )
     for line in differences:
         print(f"  - {line}")
+    if experiment and (left_open := summary.left_open(found)):
+        print(f"  - {', '.join(left_open)}: an experiment tells more: {experiment}")
     if arguments.no_write:
         return
     values = summary.response_values(found, joint)

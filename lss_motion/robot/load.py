@@ -316,7 +316,7 @@ class _Loader:
         )
         for location, reason in joint_field_problems(joint, merged.place):
             self._note(location, reason)
-        return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
+        return within_ramps(joint) if joint.drive in ("timed", "auto") else joint
 
     def _check_pulses(
         self, name: str, model: ServoModel, pulse_us: Sequence[int], merged: _Merged
@@ -398,7 +398,7 @@ def _escalations(entry: JointOnFaultEntry) -> Escalations:
     return escalations(entry)
 
 
-def _within_ramps(joint: Joint) -> Joint:
+def within_ramps(joint: Joint) -> Joint:
     """Return the joint with the largest acceleration that the ramps of its servo can express."""
     model, ratio = joint.model, joint.ramp_ratio
     if model.accel_step_deg_s2 == 0.0:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benches.random_logs import Tape
 from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.errors import PlaybackError
 from lss_motion.maintenance.identify.response_fit import Measured
-from lss_motion.maintenance.identify.show_fit import TooLittleMotionError, identify_from_show
-from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings
+from lss_motion.maintenance.identify.show_fit import identify_from_show
+from lss_motion.maintenance.identify.show_log import recordings
+from lss_motion.maintenance.identify.show_pieces import TooLittleMotionError
 from lss_motion.maintenance.identify.summary import response_values
 from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Warned
@@ -31,28 +36,6 @@ FIELDS = {
 QUICK = {"swing_deg": 50.0, "step_s": (0.4, 0.9)}
 ROBOT = make_robot(2, **FIELDS)
 SHOW = make_sequence(2, 14.0, **QUICK)
-
-
-class Tape:
-    """A tap that keeps what a log holds."""
-
-    def __init__(self):
-        self.logged, self._start_ns = [], 0
-
-    def begun(self, start_ns):
-        self._start_ns = start_ns
-        return self
-
-    def sent(self, bus, data, now_ns):
-        self.logged.append(LoggedBytes(now_ns - self._start_ns, bus, True, data))
-
-    def received(self, bus, data, now_ns):
-        self.logged.append(LoggedBytes(now_ns - self._start_ns, bus, False, data))
-
-    def turned(self, now_ns):
-        """A log has a line for this; the fit needs none."""
-
-    happened = requested = noted = lambda self, *_: None
 
 
 def played(sim, robot=ROBOT, show=SHOW, **options):
@@ -174,3 +157,38 @@ def test_a_ramp_that_depends_on_an_undecided_law_is_not_written(tmp_path, capsys
     found = load_robot(made).joints["gripper"].response
     assert found.ramp_ratio == 1.0
     assert found.lag_s == pytest.approx(0.08, abs=0.006)
+
+
+def test_a_log_of_another_robot_and_what_is_no_log_are_refused_in_a_line(tmp_path, capsys) -> None:
+    log, cut, empty = tmp_path / "show.log", tmp_path / "cut.log", tmp_path / "empty.log"
+    wave, arm = "sequences/wave.yaml", "sequences/robots/desk_arm.yaml"
+    assert play([wave, "--virtual", "--log", str(log)]) == 0
+    text = log.read_text(encoding="utf-8")
+    moves = [found.start() for found in re.finditer(r"#\d+D-?\d+T\d+", text)]
+    cut.write_text(text[: moves[20]], encoding="utf-8")
+    empty.write_text("", encoding="utf-8")
+    capsys.readouterr()
+    for robot, path, code, said in (
+        ("sequences/robots/owl.yaml", log, 2, "which has other servos than"),
+        (arm, empty, 2, "not a log: the first line must be"),
+        (arm, wave, 2, "not a log: the first line must be"),
+        (arm, cut, 5, "Play a longer show, or measure it by an experiment: lss-motion identify"),
+    ):
+        options = ["--robot", robot, "--from", str(path), "-o", str(tmp_path / "made.yaml")]
+        assert main(["identify", *options]) == code
+        out = capsys.readouterr()
+        assert said in out.out + out.err
+        assert "Traceback" not in out.err
+        assert not (tmp_path / "made.yaml").exists()
+
+
+def test_the_command_that_a_warning_names_is_one_that_works(tmp_path, capsys) -> None:
+    robot = tmp_path / "my robot.yaml"
+    robot.write_text(Path("sequences/robots/desk_arm.yaml").read_text(encoding="utf-8"))
+    wave = ["sequences/wave.yaml", "--robot", str(robot), "--virtual", "--sim", "lag=+80ms"]
+    assert play(wave) == 0
+    said = capsys.readouterr()
+    found = re.search(r"(lss-motion identify wrist --robot '.*') ;", said.out + said.err)
+    assert found is not None
+    assert main([*shlex.split(found[1])[1:], "--virtual", "--no-write"]) == 0
+    assert "wrist matches the assumptions of the robot file" in capsys.readouterr().out

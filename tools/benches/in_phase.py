@@ -19,12 +19,13 @@ from lss_motion.sim.horns import FILTER_NS
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from lss_motion.perform import Result
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
+    from lss_motion.runtime.runner import Tap
     from lss_motion.sim.deviation import Deviation
     from lss_motion.trajectory.model import Trajectory
 
@@ -72,6 +73,7 @@ def play_in_phase(
     seed: int = 0,
     deviation: Deviation | None = None,
     other_ns: int | None = None,
+    make_tap: Callable[[int], Tap] | None = None,
 ) -> tuple[Result, int]:
     """Play a show in virtual time; return the result and the instant of show time 0.
 
@@ -86,7 +88,7 @@ def play_in_phase(
         has_feedback=has_feedback,
         trajectory=trajectory,
         deviation=deviation,
-        observer=Observer(controls=beginning),
+        observer=Observer(controls=beginning, make_tap=make_tap),
     )
     assert beginning.origin_ns is not None, "the show was not played"
     return result, beginning.origin_ns

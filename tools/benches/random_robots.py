@@ -122,14 +122,14 @@ def robot_from(random: Random) -> Robot:
     return replace(robot, joints=joints)
 
 
-def show_from(random: Random, robot: Robot, kind: str) -> Sequence:
-    """Return a show of about twelve seconds; each joint has its own swing."""
+def show_from(random: Random, robot: Robot, kind: str, lasts_s: float = 12.0) -> Sequence:
+    """Return a show of about so many seconds; each joint has its own swing."""
     accel_deg_s2 = min(joint.accel_max_deg_s2 for joint in robot.joints.values())
     speed_deg_s = min(joint.speed_max_deg_s for joint in robot.joints.values())
     at_deg = dict.fromkeys(robot.joints, 0.0)
     swing = {name: random.uniform(0.2, 1.0) for name in at_deg}
     frames, now_s, count = [Keyframe(at_s=0.0, deg=dict(at_deg))], 0.0, 0
-    while now_s < 12.0:
+    while now_s < lasts_s:
         count += 1
         own = random.choice(KINDS[:4]) if kind == "mixed" else kind
         move_s, most_deg, hold_s = {

@@ -8,6 +8,8 @@
 | `response_fit` | response model of a servo, and its least squares       | `estimate`            |
 | `estimate`     | recording → servo parameters with uncertainties        | `cli.identify`        |
 | `show_log`     | moves and readings of each servo in the log of a show  | `cli.identify`        |
+| `show_pieces`  | a show, cut into pieces of a few moves                 | `show_fit`            |
+| `show_model`   | what a servo does in all pieces, by many parameters    | `show_fit`            |
 | `show_fit`     | these → servo parameters with uncertainties            | `cli.identify`        |
 | `summary`      | the result as text and as fields of the robot file     | `cli.identify`        |
 """

@@ -1,19 +1,24 @@
 """Fits the response model of a servo to the moves and readings of an ordinary show.
 
 `identify_from_show` is what `estimate.identify` is for an experiment. A show is read ten times a
-second and does not stop between moves, so pieces of it are fitted, each from a few moves before it
-on. All pieces, and all small changes of the parameters, are computed at once: a row a change, a
-column a piece.
+second and does not stop between moves, so pieces of it (`show_pieces`) are fitted. All pieces, and
+all small changes of the parameters, are computed at once: a row a change, a column a piece.
 
-Fitted are the ramps (one for both), the lag, the dead time, the load as a constant and the sine and
-cosine of the angle, the play, and the top speed. The instant within a control loop at which a servo
-takes a command up is unknown, so a reading counts less where the horn is fast.
+Shared by all pieces are the ramps (one for both), the lag, the dead time, the load as a constant
+and the sine and cosine of the angle, the play, and the top speed. Of each piece alone are how long
+each move waits for the control loop of its servo, which no log tells, and where the profile is at
+its begin. All readings after a move share the error of its wait: without these parameters many
+readings of one move would count as so many measurements.
+
+First the shared parameters are fitted under every hypothesis, coarsely; then all parameters under
+those that are left. Errors are the larger of two: by the curvature of the fit, and by leaving out
+each piece in turn (jackknife). To both comes what the phase of the control loop adds: moves at
+multiples of its period all wait for the same time.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -27,44 +32,36 @@ from lss_motion.maintenance.identify.estimate import (
     Identified,
 )
 from lss_motion.maintenance.identify.response_fit import HYPOTHESES, Hypothesis, Measured
-from lss_motion.program.response import States, Trapezoids, exact_speeds, trapezoids
-from lss_motion.robot.profile import Profile, ramp_deg_s2
+from lss_motion.maintenance.identify.show_model import (
+    DEAD,
+    LAG,
+    LOAD,
+    PLAY,
+    RAMP,
+    SIZE,
+    TOP,
+    ShowModel,
+    Vectors,
+)
+from lss_motion.maintenance.identify.show_pieces import Believed, cut, too_little
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Callable, Sequence
 
     from lss_motion.maintenance.identify.show_log import ShowRecording
+    from lss_motion.maintenance.identify.show_pieces import Pieces
     from lss_motion.program.response import FloatArray
     from lss_motion.robot.model import Joint
 
 STEP_S: Final = 0.01
 """Step of the horn. At 1000 deg/s² a profile bends by 0.01 deg within it."""
-PIECE_S: Final = 1.5
-"""A piece is scored over this time: a few moves."""
-PIECES_MAX: Final = 40
-"""Chosen: a minute of motion, a second of computing for a joint."""
-TAIL_S: Final = 2.0
-"""After the last move of a piece no later readings are used."""
-WARM_MOVES: Final = 4
-"""Moves before a piece, since the profile at its begin is only known from the robot file."""
-REST_S: Final = 0.3
-"""After a longer rest the profile is known."""
-MOTION_DEG: Final = 3.0
-"""Pieces in which the readings differ by less show no motion."""
-RESTS_RATIO: Final = 0.2
-"""Share of the pieces that may be without motion: they show the load."""
-NEVER_S: Final = 1e9
-"""Instant of a move that does not exist."""
-TINY_DEG_S: Final = 1e-6
-"""A move to where the servo stands has this speed."""
+COARSE_STEP_S: Final = 0.02
+COARSE_PIECES: Final = 24
+"""Of the search for the hypothesis."""
 
-RAMP, LAG, DEAD, LOAD, PLAY, TOP = 0, 1, 2, 3, 6, 7
-SIZE: Final = 8
-"""Parameters: logarithms of ramp and lag, dead time, three of the load, play, logarithm of the top
-speed."""
 STEPS: Final = np.array([1e-3, 1e-3, 1e-5, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
+WAIT_STEP_S: Final = 1e-5
+START_STEPS: Final = (1e-3, 1e-2)
 """Steps of the parameters for numeric derivatives."""
 STEP_MAX: Final = np.array([0.7, 0.7, 0.05, 2.0, 2.0, 2.0, 0.5, 0.5])
 """Largest change of the parameters in one step of the fit."""
@@ -72,10 +69,15 @@ USUAL_LAG_S: Final = 0.02
 SPREAD: Final = np.array([1.5, 1.0, 0.05, 5.0, 5.0, 5.0, 1.0, 0.7])
 """What is expected of the parameters, as standard deviations; `PRIOR_DEG` is their weight."""
 PRIOR_DEG: Final = 0.5
+START_ERROR: Final = (1.0, 20.0)
+"""A begin in mid-move by a model that was fitted coarsely, deg and deg/s. Chosen."""
 TIMING_S: Final = 0.002
 NOISE_DEG: Final = 0.15
 """Scatter of the instants at which commands are taken up (FACTS.md M7: every 5 ms), and of readings
-with the play of small loads (FACTS.md E7: a tenth)."""
+with the play of small loads (FACTS.md E7: a tenth), of a coarse fit."""
+READ_S: Final = 0.0003
+NOISE_LEAST_DEG: Final = 0.03
+"""Scatter of the instants of readings, and what steps of the horn leave of an exact reading."""
 OUTLIER: Final = 3.0
 """Larger residuals, in units of the scatter, count less: lost moves, damaged answers."""
 STARTS: Final = [(ramp, lag_s, dead_s, top) for ramp in (1.0, 0.45, 0.15) for top in (1.0, 0.4)
@@ -83,9 +85,19 @@ STARTS: Final = [(ramp, lag_s, dead_s, top) for ramp in (1.0, 0.45, 0.15) for to
 """The search begins at the best of these: ramps and top speed as shares of the usual ones."""
 ITERATIONS_MAX: Final = 20
 COST_RATIO: Final = 1e-4
+ROUNDS_MAX: Final = 3
+SAME_RAMP_RATIO: Final = 0.01
+"""Pieces are cut once more where the ramp that was found differs by more."""
+KEPT_MORE: Final = 1.0
+"""Hypotheses whose coarse fit misses by so much more than the best one, in units of the coarse
+scatter, are out. With half of it the true one was lost where pieces begin in long moves."""
+PHASES: Final = 16
+"""Phases of the control loop that are tried for their share of the errors."""
 MISFIT_MAX_DEG: Final = 2.0
 """Above this no hypothesis explains the readings. Several times what the control loop leaves open
 at 200 deg/s."""
+LOAD_MAX_DEG: Final = 10.0
+"""No servo is held by a position loop as soft as that. Chosen."""
 MOVING_DEG_S: Final = 20.0
 STILL_DEG_S: Final = 1.0
 MOVING_LEAST: Final = 30
@@ -95,43 +107,31 @@ RAMP_ERROR_MAX_RATIO: Final = 0.2
 """Values with larger standard errors are not written."""
 
 
-class TooLittleMotionError(PlaybackError):
-    """A joint did not move enough in a show to be measured."""
-
-
-class _Piece(NamedTuple):
-    """Moves `first` to `last` (not included), scored between two instants."""
-
-    first: int
-    last: int
-    from_s: float
-    until_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Pieces:
-    """Pieces as arrays, (pieces, moves); times count from the begin of each piece."""
-
-    received_s: FloatArray
-    target_deg: FloatArray
-    duration_s: FloatArray
-    start_deg: FloatArray
-    start_deg_s: FloatArray
-    steps: int
-    piece: NDArray[np.intp]
-    """Of each reading."""
-    time_s: FloatArray
-    reading_deg: FloatArray
-
-
 class Fitted(NamedTuple):
-    """Parameters, what they leave, and the parameters without each piece (jackknife)."""
+    """Parameters, what they leave, and what is needed for their errors."""
 
-    vector: FloatArray
+    vectors: Vectors
     misfit: float
-    """Root mean square of the weighted residuals, outliers less."""
+    """Root mean square of the weighted residuals, outliers less, with the priors of pieces."""
     rms_deg: float
+    covariance: FloatArray
+    """Of the shared parameters."""
     without: FloatArray
+    """The shared parameters without each piece in turn."""
+    by_phase: FloatArray
+    """How far the shared parameters are off, by the phase of the control loop."""
+
+    def measured(self, value: Callable[[FloatArray], FloatArray]) -> Measured:
+        """Return a function of the shared parameters, with its standard error."""
+        best = self.vectors.shared
+        at = float(value(best)[0])
+        slopes = (value(best + np.diag(STEPS)) - at) / STEPS
+        curved = float(slopes @ self.covariance @ slopes)
+        without = value(self.without)
+        count = len(without)
+        left_out = (count - 1) / count * float(np.sum((without - without.mean()) ** 2))
+        waited = float(np.mean((value(best + self.by_phase) - at) ** 2))
+        return Measured(at, math.sqrt(max(curved, left_out) + waited))
 
 
 def identify_from_show(recording: ShowRecording) -> Identified:
@@ -141,181 +141,140 @@ def identify_from_show(recording: ShowRecording) -> Identified:
     """
     joint = recording.joint
     if not recording.moves:
-        raise _too_little(joint, "it was sent no move with a T")
-    pieces = _pieces(recording)
-    problems = {one: ShowProblem(recording, pieces, one) for one in HYPOTHESES}
-    fits = {one: problem.fit() for one, problem in problems.items()}
+        raise too_little(joint, "it was sent no move with a T")
+    _require_motion(recording)
+    fits, problems = {}, {}
+    coarse = {one: _coarse(recording, one) for one in HYPOTHESES}
+    least, noise_deg = min((fit.misfit, noise_deg) for fit, noise_deg in coarse.values())
+    for one, (fit, _) in coarse.items():
+        if fit.misfit <= least + KEPT_MORE:
+            problems[one], fits[one] = _fine(recording, one, noise_deg, fit.vectors.shared)
     chosen = min(fits, key=lambda one: fits[one].misfit)
-    best = fits[chosen]
-    if best.rms_deg > MISFIT_MAX_DEG:
-        raise PlaybackError(
-            f"joint {joint.name!r}: no model explains its readings, the best misses by "
-            f"{best.rms_deg:.1f} deg. Was it held or pushed in this show?",
-            joint=joint.name,
-        )
-    return _identified(recording, pieces, chosen, fits, problems[chosen])
+    misfit_deg = fits[chosen].rms_deg
+    if misfit_deg > MISFIT_MAX_DEG:
+        raise _unexplained(joint, f"misses by {misfit_deg:.1f} deg")
+    found = _identified(recording, chosen, fits, problems[chosen])
+    if (load_deg := max(map(abs, found.droop_deg))) > LOAD_MAX_DEG:
+        raise _unexplained(joint, f"would need a load that pulls it by {load_deg:.0f} deg")
+    return found
 
 
-# ---- pieces of a show
-
-
-def _pieces(recording: ShowRecording) -> _Pieces:
-    states = list(_states(recording))
-    found = list(_cut(recording, states))
-    times_s, readings_deg = np.array(recording.times_s), np.array(recording.readings_deg)
-    owns = [np.flatnonzero((times_s >= p.from_s) & (times_s < p.until_s)) for p in found]
-    ranges_deg = [float(np.ptp(readings_deg[own])) if len(own) > 2 else -1.0 for own in owns]
-    moving = [n for n, range_deg in enumerate(ranges_deg) if range_deg >= MOTION_DEG]
-    still = [n for n, range_deg in enumerate(ranges_deg) if 0.0 <= range_deg < MOTION_DEG]
-    chosen = [*_spread(moving, PIECES_MAX), *_spread(still, int(RESTS_RATIO * PIECES_MAX))]
-    if len(moving) < 3:
-        raise _too_little(recording.joint, "in fewer than 3 pieces of the show")
-    some, count = [found[n] for n in chosen], max(found[n].last - found[n].first for n in chosen)
-    received_s = np.full((len(some), count), NEVER_S)
-    target_deg, duration_s = np.zeros((len(some), count)), np.ones((len(some), count))
-    begin_s = np.array([recording.moves[piece.first].received_s for piece in some])
-    for row, piece in enumerate(some):
-        own = recording.moves[piece.first : piece.last]
-        received_s[row, : len(own)] = [move.received_s - begin_s[row] for move in own]
-        target_deg[row, : len(own)] = [move.target_deg for move in own]
-        duration_s[row, : len(own)] = [move.duration_s for move in own]
-    piece_of = np.concatenate([np.full(len(owns[n]), row) for row, n in enumerate(chosen)])
-    reading = np.concatenate([owns[n] for n in chosen])
-    time_s = times_s[reading] - begin_s[piece_of]
-    return _Pieces(
-        received_s,
-        target_deg,
-        duration_s,
-        np.array([states[piece.first][0] for piece in some]),
-        np.array([states[piece.first][1] for piece in some]),
-        math.ceil(float(time_s.max()) / STEP_S) + 2,
-        piece_of,
-        time_s,
-        readings_deg[reading],
-    )
-
-
-def _too_little(joint: Joint, why: str) -> TooLittleMotionError:
-    return TooLittleMotionError(
-        f"joint {joint.name!r} did not move enough to be measured: {why}. A longer show, or "
-        f"lss-motion identify {joint.name} without --from",
+def _unexplained(joint: Joint, why: str) -> PlaybackError:
+    return PlaybackError(
+        f"joint {joint.name!r}: no model explains its readings, the best {why}. Was it held or "
+        f"pushed in this show?",
         joint=joint.name,
     )
 
 
-def _spread(numbers: Sequence[int], most: int) -> list[int]:
-    """Return at most `most` of the numbers, evenly spread."""
-    if len(numbers) <= most:
-        return [*numbers]
-    return [numbers[round(at)] for at in np.linspace(0, len(numbers) - 1, most).tolist()]
+def _require_motion(recording: ShowRecording) -> None:
+    """Raise if no reading is in motion by the robot file: a fit takes its time."""
+    joint = recording.joint
+    assumed = Hypothesis(joint.response.retarget, joint.response.t_law)
+    ramp_deg_s2 = recording.ramp_deg_s2 * joint.ramp_ratio
+    pieces = cut(recording, Believed(ramp_deg_s2, assumed, START_ERROR))
+    if not ShowProblem(recording, pieces, assumed).moving():
+        raise too_little(joint, _readings_text(0))
 
 
-def _states(recording: ShowRecording) -> Iterator[tuple[float, float, bool]]:
-    """Yield for each move position and speed of the profile at its receipt, and if it rested.
-
-    The profile is that of the robot file; the horn where it is unknown.
-    """
-    joint, profile, ends_s = recording.joint, None, -math.inf
-    times_s, breaks_s = np.array(recording.times_s), np.array([*recording.breaks_s, math.inf])
-    last_s = -math.inf
-    for received_s, target_deg, duration_s in recording.moves:
-        is_broken = np.searchsorted(breaks_s, last_s) != np.searchsorted(breaks_s, received_s)
-        if profile is None or is_broken:
-            at = max(int(np.searchsorted(times_s, received_s)) - 1, 0)
-            standing_deg = recording.readings_deg[at] if len(times_s) else target_deg
-            profile, ends_s = _profile(joint, standing_deg), -math.inf
-        position_deg, speed_deg_s = profile.at(received_s)
-        yield position_deg, speed_deg_s, not is_broken and received_s > ends_s + REST_S
-        profile.retarget(received_s, target_deg, duration_s)
-        profile.forget_before(received_s)
-        *_, last = profile.pieces()
-        last_s, ends_s = received_s, last.start_s
+def _readings_text(moving: int) -> str:
+    return f"{moving} readings in motion, {MOVING_LEAST} are needed"
 
 
-def _profile(joint: Joint, position_deg: float) -> Profile:
-    return Profile(
-        position_deg,
-        ramp_deg_s2=ramp_deg_s2(joint),
-        speed_max_deg_s=joint.speed_max_deg_s,
-        response=joint.response,
-    )
+def _coarse(recording: ShowRecording, hypothesis: Hypothesis) -> tuple[Fitted, float]:
+    """Return the shared parameters alone, and the scatter of the readings at rest."""
+    joint = recording.joint
+    ramp_deg_s2 = recording.ramp_deg_s2 * joint.ramp_ratio
+    pieces = cut(recording, Believed(ramp_deg_s2, hypothesis, START_ERROR), COARSE_PIECES)
+    problem = ShowProblem(recording, pieces, hypothesis)
+    fit = problem.fit()
+    return fit, problem.scatter_deg(fit.vectors)
 
 
-def _cut(recording: ShowRecording, states: Sequence[tuple[float, float, bool]]) -> Iterator[_Piece]:
-    """Yield the pieces of a show, of `PIECE_S` or up to a break."""
-    moves, breaks_s = recording.moves, np.array([*recording.breaks_s, math.inf])
-    after = np.searchsorted(breaks_s, [move.received_s for move in moves])
-    begin = 0
-    for index in range(1, len(moves) + 1):
-        is_end = index == len(moves)
-        is_broken = not is_end and after[index] != after[begin]
-        passed_s = 0.0 if is_end else moves[index].received_s - moves[begin].received_s
-        if not (is_end or is_broken or passed_s >= PIECE_S):
-            continue
-        next_s = math.inf if is_end else moves[index].received_s
-        until_s = min(next_s, moves[index - 1].received_s + TAIL_S, breaks_s[after[begin]])
-        first = begin
-        while first > max(begin - 2 * WARM_MOVES, 0) and after[first - 1] == after[begin]:
-            if states[first][2] or begin - first >= WARM_MOVES:
-                break
-            first -= 1
-        yield _Piece(first, index, moves[begin].received_s, float(until_s))
-        begin = index
+def _fine(
+    recording: ShowRecording, hypothesis: Hypothesis, noise_deg: float, shared: FloatArray
+) -> tuple[ShowProblem, Fitted]:
+    """Return the fit of all parameters; where pieces begin is computed with what it finds."""
+    more = ROUNDS_MAX
+    while True:
+        log_ramp, more = float(shared[0, RAMP]), more - 1
+        pieces = cut(recording, Believed(math.exp(log_ramp), hypothesis, START_ERROR))
+        problem = ShowProblem(recording, pieces, hypothesis, noise_deg)
+        fit = problem.fit(shared)
+        shared = fit.vectors.shared
+        if not more or abs(float(shared[0, RAMP]) - log_ramp) < SAME_RAMP_RATIO:
+            return problem, fit
 
 
 # ---- the model
 
 
 class ShowProblem:
-    """The pieces of one joint, to be fitted under one hypothesis."""
+    """The pieces of one joint, to be fitted under one hypothesis.
 
-    def __init__(self, recording: ShowRecording, pieces: _Pieces, hypothesis: Hypothesis) -> None:
+    With the scatter of the readings, `noise_deg`, the parameters of the pieces are fitted, too;
+    without it only the shared ones, coarsely.
+    """
+
+    def __init__(
+        self,
+        recording: ShowRecording,
+        pieces: Pieces,
+        hypothesis: Hypothesis,
+        noise_deg: float | None = None,
+    ) -> None:
         joint = recording.joint
-        self._pieces, self._hypothesis = pieces, hypothesis
-        self._speed_max_deg_s = joint.speed_max_deg_s
+        self.pieces = pieces
+        self._noise_deg = noise_deg
+        self.model = ShowModel(
+            pieces,
+            hypothesis,
+            speed_max_deg_s=joint.speed_max_deg_s,
+            step_s=COARSE_STEP_S if noise_deg is None else STEP_S,
+        )
+        self._loop_s = joint.response.loop_s
         stiffness_ratio = joint.ramp_ratio / joint.response.ramp_ratio
         self._usual = np.zeros(SIZE)
         self._usual[RAMP] = math.log(recording.ramp_deg_s2 * stiffness_ratio)
         self._usual[LAG] = math.log(USUAL_LAG_S)
         self._usual[TOP] = math.log(joint.model.speed_max_deg_s)
         self._prior = (PRIOR_DEG / NOISE_DEG / SPREAD) ** 2
+        count, moves = pieces.received_s.shape
+        waits_s = np.full((count, moves), self._loop_s / math.sqrt(12.0))
+        self._own_prior = np.concatenate([waits_s, pieces.start_error], axis=1) ** -2.0
         self._weight = np.ones(len(pieces.time_s))
 
-    def fit(self) -> Fitted:
-        """Return the best parameters. Levenberg-Marquardt from the best of `STARTS`."""
-        vector = self._start()
+    def fit(self, shared: FloatArray | None = None) -> Fitted:
+        """Return the best parameters, searched from `shared` or from the best of `STARTS`.
+
+        Levenberg-Marquardt.
+        """
+        vectors = Vectors.of(self._start() if shared is None else shared, self.pieces)
+        self._weigh(vectors)
         damping = 1e-2
         for _ in range(ITERATIONS_MAX):
-            residual, jacobian = self._linear(vector)
-            cost = self._cost(vector, residual)
-            better, damping = self._improved(vector, residual, jacobian, cost, damping)
+            residual, jacobian = self._linear(vectors)
+            cost = self._cost(vectors, residual[None])[0]
+            better, damping = self._improved(vectors, residual, jacobian, cost, damping)
             if better is None:
                 break
-            vector, new_cost = better
+            vectors, new_cost = better
             if cost - new_cost < COST_RATIO * cost:
                 break
-        residual, jacobian = self._linear(vector)
-        share = _shares(residual)
-        return Fitted(
-            vector,
-            math.sqrt(float(_soft(residual).mean())),
-            math.sqrt(float(np.sum(share * (residual / self._weight) ** 2) / np.sum(share))),
-            self._without(vector, residual, jacobian),
-        )
+        return self._fitted(vectors)
 
-    def speeds_deg_s(self, vector: FloatArray) -> FloatArray:
-        """Return the speed of the profile at each reading."""
-        profile_deg = self._profiles_deg(vector[None])[0]
-        speed_deg_s = np.asarray(np.gradient(profile_deg, STEP_S, axis=1), dtype=np.float64)
-        found: FloatArray = np.abs(self._at_readings(speed_deg_s[None])[0])
-        return found
+    def moving(self, vectors: Vectors | None = None) -> int:
+        """Return how many readings are in motion; without parameters, with the usual ones."""
+        found = Vectors.of(self._usual[None], self.pieces) if vectors is None else vectors
+        return int((self.model.speeds_deg_s(found) > MOVING_DEG_S).sum())
 
-    def scatter_deg(self, vector: FloatArray) -> float:
-        """Return the root mean square of what is left of the readings at rest, or of all."""
-        left_deg = self._readings_deg(vector[None])[0] - self._pieces.reading_deg
-        is_still = self.speeds_deg_s(vector) < STILL_DEG_S
-        chosen = left_deg[is_still] if is_still.any() else left_deg
-        return float(np.sqrt(np.mean(np.minimum(chosen * chosen, OUTLIER**2))))
+    def scatter_deg(self, vectors: Vectors) -> float:
+        """Return the scatter of what is left of the readings at rest, or of all."""
+        left_deg = self.model.readings_deg(vectors)[0] - self.pieces.reading_deg
+        is_still = self.model.speeds_deg_s(vectors) < STILL_DEG_S
+        chosen = left_deg[is_still] if is_still.sum() >= MOVING_LEAST else left_deg
+        away_deg = float(np.minimum(np.abs(chosen), OUTLIER * NOISE_DEG).mean())
+        return max(1.25 * away_deg, NOISE_LEAST_DEG)
 
     def _start(self) -> FloatArray:
         starts = np.tile(self._usual, (len(STARTS), 1))
@@ -323,170 +282,178 @@ class ShowProblem:
             row[RAMP] += math.log(ramp)
             row[LAG], row[DEAD] = math.log(lag_s), dead_s
             row[TOP] += math.log(top)
-        readings_deg = self._readings_deg(starts)
-        off_deg = np.median(readings_deg - self._pieces.reading_deg, axis=1)
+        readings_deg = self.model.readings_deg(Vectors.of(starts, self.pieces))
+        off_deg = np.median(readings_deg - self.pieces.reading_deg, axis=1)
         starts[:, LOAD] = off_deg
-        residuals = readings_deg - off_deg[:, None] - self._pieces.reading_deg
+        residuals = readings_deg - off_deg[:, None] - self.pieces.reading_deg
         at = int(np.argmin(_soft(residuals / NOISE_DEG / 4.0).sum(axis=1)))
-        speed_deg_s = self.speeds_deg_s(starts[at])
-        self._weight = 1.0 / np.hypot(NOISE_DEG, TIMING_S * speed_deg_s)
-        found: FloatArray = starts[at]
+        found: FloatArray = starts[at : at + 1]
         return found
 
-    def _readings_deg(self, vectors: FloatArray) -> FloatArray:
-        """Return what the servo would read, (vectors, readings)."""
-        horn_deg = self._horns_deg(vectors, self._profiles_deg(vectors))
-        horn_deg = self._at_readings(horn_deg)
-        angle = np.radians(horn_deg)
-        load = vectors[:, LOAD : LOAD + 3, None]
-        found: FloatArray = horn_deg - (
-            load[:, 0] + load[:, 1] * np.sin(angle) + load[:, 2] * np.cos(angle)
-        )
-        return found
-
-    def _at_readings(self, values: FloatArray) -> FloatArray:
-        """Return values on the grid, (vectors, pieces, steps), at the readings."""
-        place = self._pieces.time_s / STEP_S
-        low = np.clip(place.astype(np.intp), 0, self._pieces.steps - 2)
-        part, row = place - low, self._pieces.piece
-        found: FloatArray = (1.0 - part) * values[:, row, low] + part * values[:, row, low + 1]
-        return found
-
-    def _profiles_deg(self, vectors: FloatArray) -> FloatArray:
-        """Return the profiles on the grid, (vectors, pieces, steps)."""
-        moves = self._moves(vectors)
-        begins_s = np.stack([move.start.time_s for move in moves], axis=-1)
-        grid_s = STEP_S * np.arange(self._pieces.steps, dtype=np.float64)
-        begun = (grid_s[:, None] >= begins_s[:, :, None, :]).sum(axis=-1)
-        index = np.maximum(begun - 1, 0)
-
-        def under_way(values: list[FloatArray]) -> FloatArray:
-            return np.take_along_axis(np.stack(values, axis=-1), index, axis=-1)
-
-        start = States(
-            under_way([move.start.time_s for move in moves]),
-            under_way([move.start.position_deg for move in moves]),
-            under_way([move.start.speed_deg_s for move in moves]),
-        )
-        every = Trapezoids(
-            start,
-            under_way([move.sign for move in moves]),
-            under_way([move.ramp_deg_s2 for move in moves]),
-            under_way([move.first_deg_s for move in moves]),
-            under_way([move.peak_deg_s for move in moves]),
-            under_way([move.first_s for move in moves]),
-            under_way([move.cruise_s for move in moves]),
-        )
-        return every.positions_deg(np.maximum(grid_s, start.time_s))
-
-    def _moves(self, vectors: FloatArray) -> list[Trapezoids]:
-        """Return each move with the state in which the servo takes it up, (vectors, pieces)."""
-        pieces, shape = self._pieces, (len(vectors), len(self._pieces.start_deg))
-        ramp = np.broadcast_to(np.exp(vectors[:, RAMP, None]), shape)
-        taken_s = pieces.received_s + vectors[:, DEAD, None, None]
-        position_deg, speed_deg_s = pieces.start_deg, pieces.start_deg_s
-        moves: list[Trapezoids] = []
-        for index in range(pieces.received_s.shape[1]):
-            begin_s = taken_s[:, :, index]
-            if moves:
-                state = moves[-1].at(np.maximum(begin_s, moves[-1].start.time_s))
-                position_deg, speed_deg_s = state.position_deg, state.speed_deg_s
-            if self._hypothesis.retarget == "from_rest":
-                speed_deg_s = np.zeros(shape)
-            start = States(
-                begin_s, np.broadcast_to(position_deg, shape), np.broadcast_to(speed_deg_s, shape)
-            )
-            target_deg = np.broadcast_to(pieces.target_deg[:, index], shape)
-            travel_deg_s = self._travel_deg_s(start, target_deg, pieces.duration_s[:, index], ramp)
-            moves.append(trapezoids(start, target_deg, travel_deg_s, ramp))
-        return moves
-
-    def _travel_deg_s(
-        self, start: States, target_deg: FloatArray, duration_s: FloatArray, ramp: FloatArray
-    ) -> FloatArray:
-        """Return the travel speeds that the servo makes of each T."""
-        if self._hypothesis.t_law == "exact":
-            asked_deg_s = exact_speeds(start, target_deg, duration_s, ramp)
-        else:
-            asked_deg_s = np.abs(target_deg - start.position_deg) / duration_s
-        asked_deg_s = np.maximum(asked_deg_s, TINY_DEG_S)
-        found: FloatArray = np.minimum(asked_deg_s, self._speed_max_deg_s)
-        return found
-
-    def _horns_deg(self, vectors: FloatArray, profile_deg: FloatArray) -> FloatArray:
-        """Return the shafts of horns that follow profiles: with lag, top speed and play."""
-        lag_s = np.exp(vectors[:, LAG, None])
-        fading = np.exp(-STEP_S / lag_s)
-        reach_deg = STEP_S * np.exp(vectors[:, TOP, None])
-        half_deg = 0.5 * np.maximum(vectors[:, PLAY, None], 0.0)
-        behind_deg = lag_s[..., None] / STEP_S * np.diff(profile_deg, axis=-1)
-        found = np.empty_like(profile_deg)
-        horn_deg = shaft_deg = profile_deg[..., 0] - behind_deg[..., 0]
-        found[..., 0] = horn_deg
-        for step in range(1, profile_deg.shape[-1]):
-            late_deg = behind_deg[..., step - 1]
-            gap_deg = horn_deg - profile_deg[..., step - 1] + late_deg
-            moved_deg = profile_deg[..., step] - late_deg + gap_deg * fading - horn_deg
-            horn_deg = horn_deg + np.minimum(np.maximum(moved_deg, -reach_deg), reach_deg)
-            shaft_deg = np.maximum(np.minimum(shaft_deg, horn_deg + half_deg), horn_deg - half_deg)
-            found[..., step] = shaft_deg
-        return found
+    def _weigh(self, vectors: Vectors) -> None:
+        speed_deg_s = self.model.speeds_deg_s(vectors)
+        noise_deg, timing_s = NOISE_DEG, TIMING_S
+        if self._noise_deg is not None:
+            noise_deg, timing_s = self._noise_deg, READ_S
+        self._weight = 1.0 / np.hypot(noise_deg, timing_s * speed_deg_s)
 
     # ---- one step of the fit
 
-    def _residual(self, vectors: FloatArray) -> FloatArray:
-        found: FloatArray = self._readings_deg(vectors) - self._pieces.reading_deg
+    def _residual(self, vectors: Vectors) -> FloatArray:
+        found: FloatArray = self.model.readings_deg(vectors) - self.pieces.reading_deg
         return found * self._weight
 
-    def _linear(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals in units of their scatter, and their derivatives."""
-        residuals = self._residual(np.vstack([vector, vector + np.diag(STEPS)]))
-        return residuals[0], (residuals[1:] - residuals[0]).T / STEPS
+    def _linear(self, vectors: Vectors) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals in units of their scatter, and their derivatives.
 
-    def _cost(self, vector: FloatArray, residual: FloatArray) -> float:
-        prior = float(np.sum(self._prior * (vector - self._usual) ** 2))
-        return float(_soft(residual).sum()) + prior
+        A row of the derivatives is a reading; first the shared parameters, then those of its piece.
+        """
+        own_size = 0 if self._noise_deg is None else vectors.own.shape[-1]
+        own_steps = np.array([WAIT_STEP_S] * max(own_size - 2, 0) + [*START_STEPS])[:own_size]
+        steps = np.concatenate([STEPS, own_steps])
+        rows = 1 + len(steps)
+        shared = np.tile(vectors.shared, (rows, 1))
+        shared[1 : 1 + SIZE] += np.diag(STEPS)
+        own = vectors.own
+        if own_size:
+            own = np.tile(own, (rows, 1, 1))
+            own[1 + SIZE :] += np.diag(own_steps)[:, None, :]
+        residuals = self._residual(Vectors(shared, own))
+        return residuals[0], (residuals[1:] - residuals[0]).T / steps
+
+    def _cost(self, vectors: Vectors, residuals: FloatArray) -> FloatArray:
+        prior = np.sum(self._prior * (vectors.shared - self._usual) ** 2, axis=-1)
+        own = np.sum(self._own_prior * vectors.own**2, axis=(-1, -2))
+        found: FloatArray = _soft(residuals).sum(axis=-1) + prior + own
+        return found
 
     def _improved(
         self,
-        vector: FloatArray,
+        vectors: Vectors,
         residual: FloatArray,
         jacobian: FloatArray,
         cost: float,
         damping: float,
-    ) -> tuple[tuple[FloatArray, float] | None, float]:
+    ) -> tuple[tuple[Vectors, float] | None, float]:
         """Return parameters with a lower cost and that cost, if there are any, and the damping."""
-        share = _shares(residual)
-        normal = (jacobian.T * share) @ jacobian + np.diag(self._prior)
-        gradient = (jacobian.T * share) @ residual + self._prior * (vector - self._usual)
-        dampings = damping * 6.0 ** np.arange(-1, 5)
-        scale = np.diag(normal) + 1e-9
-        steps = [-np.linalg.solve(normal + one * np.diag(scale), gradient) for one in dampings]
-        tried = vector + np.clip(steps, -STEP_MAX, STEP_MAX)
-        tried[:, PLAY] = np.maximum(tried[:, PLAY], 0.0)
-        residuals = self._residual(tried)
-        costs = [self._cost(one, own) for one, own in zip(tried, residuals, strict=True)]
+        blocks = self._blocks(vectors, residual, jacobian)
+        dampings = damping * 8.0 ** np.arange(-1, 4)
+        moved = [blocks.step(one) for one in dampings.tolist()]
+        shared = vectors.shared + np.clip([one.shared[0] for one in moved], -STEP_MAX, STEP_MAX)
+        shared[:, PLAY] = np.maximum(shared[:, PLAY], 0.0)
+        tried = Vectors(shared, vectors.own + np.concatenate([one.own for one in moved]))
+        costs = self._cost(tried, self._residual(tried))
         at = int(np.argmin(costs))
         if costs[at] >= cost:
             return None, damping
-        return (tried[at], costs[at]), max(float(dampings[at]), 1e-9)
+        return (tried.at(at), float(costs[at])), max(float(dampings[at]), 1e-9)
 
-    def _without(
-        self, vector: FloatArray, residual: FloatArray, jacobian: FloatArray
-    ) -> FloatArray:
-        """Return the parameters without each piece in turn, by a linear step."""
+    def _blocks(self, vectors: Vectors, residual: FloatArray, jacobian: FloatArray) -> _Blocks:
+        """Return the normal equations, the parameters of each piece eliminated."""
+        share = _shares(residual)[:, None]
+        firsts = self.pieces.firsts
+        weighted = jacobian * share
+        products = np.einsum("ri,rj->rij", weighted, jacobian)
+        normal = np.add.reduceat(products, firsts)
+        pull = np.add.reduceat(weighted * residual[:, None], firsts)
+        own = vectors.own[0]
+        if self._noise_deg is None:
+            zero = np.zeros((len(firsts), 0))
+            return _Blocks(normal, pull, self._prior, self._away(vectors), zero, own)
+        pull[:, SIZE:] += self._own_prior * own
+        return _Blocks(normal, pull, self._prior, self._away(vectors), self._own_prior, own)
+
+    def _away(self, vectors: Vectors) -> FloatArray:
+        found: FloatArray = self._prior * (vectors.shared[0] - self._usual)
+        return found
+
+    def _fitted(self, vectors: Vectors) -> Fitted:
+        residual, jacobian = self._linear(vectors)
         share = _shares(residual)
-        count = len(self._pieces.start_deg)
-        masks = [self._pieces.piece == one for one in range(count)]
-        parts = [(jacobian[m].T * share[m]) @ jacobian[m] for m in masks]
-        pulls = [(jacobian[m].T * share[m]) @ residual[m] for m in masks]
-        prior, away = np.diag(self._prior), self._prior * (vector - self._usual)
-        total, pull = sum(parts) + prior, sum(pulls) + away
-        moved = [
-            -np.linalg.solve(total - part, pull - own)
-            for part, own in zip(parts, pulls, strict=True)
-        ]
-        found: FloatArray = vector + np.array(moved)
+        blocks = self._blocks(vectors, residual, jacobian)
+        soft = float(_soft(residual).sum()) + float(np.sum(self._own_prior * vectors.own**2))
+        left = math.sqrt(soft / len(residual))
+        return Fitted(
+            vectors,
+            left,
+            math.sqrt(float(np.sum(share * (residual / self._weight) ** 2) / np.sum(share))),
+            blocks.covariance() * max(1.0, left * left),
+            vectors.shared + blocks.without(),
+            self._by_phase(blocks),
+        )
+
+    def _by_phase(self, blocks: _Blocks) -> FloatArray:
+        """Return how far the shared parameters are off if the control loop has each phase."""
+        received_s = self.pieces.begin_s[:, None] + self.pieces.received_s
+        phases_s = self._loop_s * (np.arange(PHASES) + 0.5) / PHASES
+        waits_s = (phases_s[:, None, None] - received_s) % self._loop_s - 0.5 * self._loop_s
+        return blocks.shifted(waits_s)
+
+
+class _Blocks:
+    """Normal equations of shared parameters and of those of each piece."""
+
+    def __init__(
+        self,
+        normal: FloatArray,
+        pull: FloatArray,
+        prior: FloatArray,
+        away: FloatArray,
+        own_prior: FloatArray,
+        own: FloatArray,
+    ) -> None:
+        self._own_prior, self._empty = own_prior, np.zeros_like(own)
+        own_size = own_prior.shape[-1]
+        self._inner = normal[:, SIZE:, SIZE:] + own_prior[:, :, None] * np.eye(own_size)
+        self._mixed = normal[:, SIZE:, :SIZE]
+        self._outer, self._prior = normal[:, :SIZE, :SIZE], np.diag(prior)
+        self._pull, self._away = pull, away
+        self._reduced, self._pulls, self._gain = self._eliminated(0.0)
+
+    def _eliminated(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return each piece's normal equations of the shared parameters alone, and the gain."""
+        inner = self._inner * (1.0 + damping * np.eye(self._inner.shape[-1]))
+        gain: FloatArray = np.asarray(np.linalg.solve(inner, self._mixed), dtype=np.float64)
+        reduced: FloatArray = self._outer - np.einsum("pki,pkj->pij", self._mixed, gain)
+        pulls: FloatArray = self._pull[:, :SIZE] - np.einsum(
+            "pki,pk->pi", gain, self._pull[:, SIZE:]
+        )
+        return reduced, pulls, gain
+
+    def step(self, damping: float) -> Vectors:
+        """Return the damped step of all parameters."""
+        reduced, pulls, gain = self._eliminated(damping)
+        total = reduced.sum(axis=0) + self._prior
+        total += damping * np.diag(np.diag(total) + 1e-9)
+        shared = -np.linalg.solve(total, pulls.sum(axis=0) + self._away)
+        own = self._empty
+        if gain.shape[1]:
+            inner = self._inner * (1.0 + damping * np.eye(self._inner.shape[-1]))
+            alone = np.linalg.solve(inner, self._pull[:, SIZE:, None])[..., 0]
+            own = -alone - gain @ shared
+        return Vectors(shared[None], own[None])
+
+    def covariance(self) -> FloatArray:
+        """Return the covariance of the shared parameters."""
+        found: FloatArray = np.linalg.inv(self._reduced.sum(axis=0) + self._prior)
+        return found
+
+    def without(self) -> FloatArray:
+        """Return the steps of the shared parameters without each piece in turn."""
+        total, pull = self._reduced.sum(axis=0) + self._prior, self._pulls.sum(axis=0) + self._away
+        found: FloatArray = -np.linalg.solve(
+            total - self._reduced, (pull - self._pulls)[..., None]
+        )[..., 0]
+        return found
+
+    def shifted(self, waits_s: FloatArray) -> FloatArray:
+        """Return how far the shared parameters are off with other waits, (sets, pieces, moves)."""
+        if not self._own_prior.size:
+            return np.zeros((1, SIZE))
+        priced = self._own_prior[:, :-2] * waits_s
+        pulls = np.einsum("pki,spk->si", self._gain[:, :-2], priced)
+        total = self._reduced.sum(axis=0) + self._prior
+        found: FloatArray = np.linalg.solve(total, pulls.T).T
         return found
 
 
@@ -507,26 +474,27 @@ def _shares(residual: FloatArray) -> FloatArray:
 
 def _identified(
     recording: ShowRecording,
-    pieces: _Pieces,
     chosen: Hypothesis,
     fits: dict[Hypothesis, Fitted],
     problem: ShowProblem,
 ) -> Identified:
-    joint, best = recording.joint, fits[chosen]
-    speeds_deg_s = problem.speeds_deg_s(best.vector)
-    moving = int((speeds_deg_s > MOVING_DEG_S).sum())
+    joint, best, pieces = recording.joint, fits[chosen], problem.pieces
+    speeds_deg_s = problem.model.speeds_deg_s(best.vectors)
+    moving = problem.moving(best.vectors)
     if moving < MOVING_LEAST:
-        raise _too_little(joint, f"{moving} readings in motion, {MOVING_LEAST} are needed")
-    delay = _measured(best, lambda vectors: vectors[:, DEAD] + np.exp(vectors[:, LAG]))
-    ramp = _measured(best, lambda vectors: np.exp(vectors[:, RAMP]))
-    top = _measured(best, lambda vectors: np.exp(vectors[:, TOP]))
+        raise too_little(joint, _readings_text(moving))
+    laws = [one for one, fit in fits.items() if fit.misfit <= DECIDED_RATIO * best.misfit]
+    possible = [fits[one] for one in laws]
+    delay = _of_all(best, possible, lambda shared: shared[:, DEAD] + np.exp(shared[:, LAG]))
+    ramp = _of_all(best, possible, lambda shared: np.exp(shared[:, RAMP]))
+    top = best.measured(lambda shared: np.exp(shared[:, TOP]))
     asked_deg_s = float(speeds_deg_s.max())
     is_top = top.value + 2.0 * top.error < SATURATED_RATIO * asked_deg_s
     low_deg, high_deg = float(pieces.reading_deg.min()), float(pieces.reading_deg.max())
     at = np.radians(sorted((low_deg, 0.5 * (low_deg + high_deg), high_deg),
                            key=joint.joint_deg))  # fmt: skip
     low, middle, high = (_load(best, angle) for angle in at.tolist())
-    play = _measured(best, lambda vectors: vectors[:, PLAY])
+    play = best.measured(lambda shared: shared[:, PLAY])
     return Identified(
         joint=joint.name,
         low_deg=min(joint.joint_deg(low_deg), joint.joint_deg(high_deg)),
@@ -534,11 +502,11 @@ def _identified(
         ramp_deg_s2=recording.ramp_deg_s2,
         speed_max_deg_s=joint.speed_max_deg_s,
         delay_s=delay,
-        lag_s=_measured(best, lambda vectors: np.exp(vectors[:, LAG])),
-        dead_s=_measured(best, lambda vectors: vectors[:, DEAD]),
+        lag_s=_of_all(best, possible, lambda shared: np.exp(shared[:, LAG])),
+        dead_s=_of_all(best, possible, lambda shared: shared[:, DEAD]),
         loop_s=None,
-        retarget=Decided(chosen.retarget, _is_sure(fits, chosen, 0)),
-        t_law=Decided(chosen.t_law, _is_sure(fits, chosen, 1)),
+        retarget=Decided(chosen.retarget, all(law.retarget == chosen.retarget for law in laws)),
+        t_law=Decided(chosen.t_law, all(law.t_law == chosen.t_law for law in laws)),
         accel_deg_s2=ramp,
         decel_deg_s2=ramp,
         top_deg_s=top if is_top else Measured(asked_deg_s, 0.0),
@@ -550,47 +518,34 @@ def _identified(
         ),
         droop_error_deg=max(low.error, middle.error, high.error),
         play_deg=play if play.value > PLAY_LEAST_DEG else Measured(0.0, play.error),
-        noise_deg=problem.scatter_deg(best.vector),
+        noise_deg=problem.scatter_deg(best.vectors),
         misfit_deg=best.rms_deg,
         turnaround_s=tuple(np.percentile(recording.turnarounds_s, (1.0, 50.0, 99.0)).tolist()),
         readings=len(pieces.time_s),
-        unsure=_unsure(delay, ramp, _possible(fits, chosen)),
+        unsure=_unsure(delay, ramp),
     )
+
+
+def _of_all(
+    best: Fitted, possible: Sequence[Fitted], value: Callable[[FloatArray], FloatArray]
+) -> Measured:
+    """Return a function of the parameters; its error holds under all laws that are possible."""
+    own = best.measured(value)
+    away = max(abs(float(value(fit.vectors.shared)[0]) - own.value) for fit in possible)
+    return Measured(own.value, math.hypot(own.error, away))
 
 
 def _load(best: Fitted, angle: float) -> Measured:
     """Return how far the load pulls the horn at an angle (radians)."""
     basis = np.array([1.0, math.sin(angle), math.cos(angle)])
-    return _measured(best, lambda vectors: vectors[:, LOAD : LOAD + 3] @ basis)
+    return best.measured(lambda shared: shared[:, LOAD : LOAD + 3] @ basis)
 
 
-def _unsure(delay: Measured, ramp: Measured, possible: Sequence[Fitted]) -> frozenset[str]:
-    """Return the fields of `response` that the show does not tell well enough.
-
-    The ramp belongs to a law: where several are possible, theirs must agree.
-    """
+def _unsure(delay: Measured, ramp: Measured) -> frozenset[str]:
+    """Return the fields of `response` that the show does not tell well enough."""
     found = set()
     if delay.error > DELAY_ERROR_MAX_S:
         found.add("lag_s")
-    spread = math.expm1(float(np.ptp([fit.vector[RAMP] for fit in possible])))
-    if max(ramp.error / ramp.value, spread) > RAMP_ERROR_MAX_RATIO:
+    if ramp.error > RAMP_ERROR_MAX_RATIO * ramp.value:
         found.add("ramp_ratio")
     return frozenset(found)
-
-
-def _possible(fits: dict[Hypothesis, Fitted], chosen: Hypothesis) -> list[Fitted]:
-    """Return the fits of all laws that the readings do not rule out."""
-    return [fit for fit in fits.values() if fit.misfit <= DECIDED_RATIO * fits[chosen].misfit]
-
-
-def _measured(best: Fitted, value: Callable[[FloatArray], FloatArray]) -> Measured:
-    """Return a function of the parameters, with its standard error by the jackknife."""
-    without = value(best.without)
-    spread = float(np.sum((without - without.mean()) ** 2))
-    count = len(without)
-    return Measured(float(value(best.vector[None])[0]), math.sqrt((count - 1) / count * spread))
-
-
-def _is_sure(fits: dict[Hypothesis, Fitted], chosen: Hypothesis, place: int) -> bool:
-    others = [fit.misfit for one, fit in fits.items() if one[place] != chosen[place]]
-    return min(others) > DECIDED_RATIO * fits[chosen].misfit

@@ -60,6 +60,12 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
     return {key: value for key, value in values.items() if key not in found.unsure}
 
 
+def left_open(found: Identified) -> list[str]:
+    """Return the fields of `response` that the readings do not tell."""
+    laws = {"retarget": found.retarget, "t_law": found.t_law}
+    return [*sorted(found.unsure), *(key for key, law in laws.items() if not law.is_sure)]
+
+
 def ramp_ratio(found: Identified, stiffness_ratio: float = 1.0) -> float:
     """Return the ratio of the ramps to AA and AD: 1 unless they clearly differ.
 
