@@ -30,7 +30,9 @@ from lss_motion.trajectory.model import AskedSpan, GivenUp, MissedKey
 from lss_motion.trajectory.reserve import (
     AT_LIMIT_RATIO,
     BREAK_S,
+    RELENTLESS_LONG_S,
     RELENTLESS_S,
+    RELENTLESS_SHARE,
     RELENTLESS_SHARE_KEPT,
 )
 
@@ -305,8 +307,11 @@ class JointFollower:
             before = np.ones(len(accels)) if wanted.accel_shares is None else wanted.accel_shares
             shares = before.copy()
             for first, end in near_runs(is_at_limit, self.grid.cells_of(BREAK_S)):
-                if (end - first) * wanted.cell_s > RELENTLESS_S:
-                    shares[first:end] = RELENTLESS_SHARE_KEPT
+                lasts_s = (end - first) * wanted.cell_s
+                if lasts_s > RELENTLESS_S:
+                    is_long = lasts_s > RELENTLESS_LONG_S
+                    share = RELENTLESS_SHARE_KEPT if is_long else RELENTLESS_SHARE
+                    shares[first:end] = np.minimum(shares[first:end], share)
             if np.array_equal(shares, before):
                 return found
             wanted = replace(wanted, accel_shares=shares)

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
         "Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan, CommandedMove, Smoothing
     )
 
-PLANNER_VERSION: Final = 15
+PLANNER_VERSION: Final = 16
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"

@@ -15,6 +15,7 @@ from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
 from lss_motion.trajectory import reserve, solver
+from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.retime import laid_out
 from lss_motion.trajectory.solver import is_legal, solve
 from lss_motion.trajectory.tracks import planned_track
@@ -32,6 +33,11 @@ def robot_with(model="LSS-ST1", accel_max_deg_s2=600.0):
 def jaw(keys, gap_s=0.15, deg=30.0, **fields):
     frames = [Keyframe(at_s=round(gap_s * k, 3), deg={"jaw": deg * (k % 2)}) for k in range(keys)]
     return Sequence(name="jaw", keyframes=tuple(frames), **fields)
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path / "plans"))
 
 
 @pytest.fixture
@@ -89,6 +95,15 @@ def test_short_passes_have_a_reserve_where_they_are_repeated_for_long(unreserved
         used.append(np.median(np.abs(cycle.sample(times_s, 2)[:, 0])) / 600.0)
     assert used[1] == pytest.approx(1.0, abs=0.005)
     assert used[0] / used[1] == pytest.approx(share, abs=0.001)
+
+
+@pytest.mark.parametrize(("keys", "share"), [(6, 1.0), (24, 0.995), (50, 0.98)])
+def test_a_joint_that_keeps_its_time_has_the_larger_reserve_only_after_8_s(keys, share):
+    robot = robot_with()
+    show = jaw(keys, gap_s=0.25, deg=60.0, keeps_time=frozenset({"jaw"}))
+    used = accel_used(plan(show, robot), robot)
+    assert used.max() == pytest.approx(share, abs=0.0015)
+    assert np.quantile(used, 0.6) == pytest.approx(share, abs=0.0015)
 
 
 def test_only_the_surroundings_of_a_reserve_are_solved_again(monkeypatch):
