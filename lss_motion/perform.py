@@ -20,13 +20,12 @@ from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
-from lss_motion.runtime.performer import performing
 from lss_motion.runtime.port import ReopeningPort
 from lss_motion.runtime.real_time import real_time
-from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
 from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.truth import TruthRecorder
+from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -129,7 +128,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
     finally:
         error = close(connection, error)
     player.end_show(clock.now_ns())
-    run_s = run_seconds(started_ns, clock.now_ns())
+    run_s = s_from_ns(clock.now_ns() - started_ns)
     report = None if desk is None else desk.report
     return _result(player, connection, recorder, run_s, error, warnings=warnings, sound=report)
 
@@ -184,8 +183,13 @@ def effects(
             )
             stack.callback(desk.close)
         has_stream = choice.is_off or (desk is not None and desk.is_open)
-        performed = performing(program.cues, note, is_virtual=is_virtual, has_stream=has_stream)
-        yield stack.enter_context(performed), desk
+        on_event: Callable[[Event], None] = note
+        if any(cue.run or cue.sound for cue in program.cues):
+            from lss_motion.runtime.performer import performing
+
+            performed = performing(program.cues, note, is_virtual=is_virtual, has_stream=has_stream)
+            on_event = stack.enter_context(performed)
+        yield on_event, desk
 
 
 def _result(
@@ -199,6 +203,8 @@ def _result(
     sound: SoundReport | None,
 ) -> Result:
     """Return the result of a run that has ended; `recorder` is None on a real robot."""
+    from lss_motion.runtime.report import make_report  # When nothing moves any more.
+
     truth = None if recorder is None else recorder.finish(player)
     report = make_report(
         player,

@@ -185,7 +185,8 @@ def compiled(
     is_following: bool = False,
 ) -> Show:
     """Return the show of a sequence; the others as in `prepare`."""
-    from lss_motion.program.compile import TOLERANCE_DEG, compile_program
+    from lss_motion.program.compile import compile_program
+    from lss_motion.program.model import TOLERANCE_DEG
 
     limits = with_headroom(robot) if is_following else robot
     trajectory = planned(sequence, limits, speed_ratio=speed_ratio, loop=loop)
@@ -241,6 +242,14 @@ def planned(
         check_sequence(sequence, robot)
     speed_ratio *= sequence.speed_ratio
     return plan(dataclasses.replace(sequence, speed_ratio=speed_ratio), robot)
+
+
+def recheck(show: Show) -> None:
+    """Raise `PlanningError` or `LineLoadError` if the bytes of a show would break a limit."""
+    from lss_motion.program.verify import verify_program
+
+    robot = show.robot
+    verify_program(show.program, with_headroom(robot, accel=False) if show.is_following else robot)
 
 
 def _read(

@@ -27,9 +27,9 @@ from lss_motion.player.query_choice import ON_STAGE
 from lss_motion.player.repertoire import Repertoire
 from lss_motion.player.stage_player import StagePlayer
 from lss_motion.runtime.real_time import real_time
-from lss_motion.runtime.report import run_seconds
 from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.runtime.stage_report import Ledger
+from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -117,7 +117,7 @@ def perform_stage(  # noqa: PLR0913  (the options of one run)
     why = player.error or error
     report = ledger.report(
         player,
-        run_s=run_seconds(started_ns, clock.now_ns()),
+        run_s=s_from_ns(clock.now_ns() - started_ns),
         is_simulated=is_simulated,
         outcome="lost" if isinstance(why, BusError) else player.outcome or "stopped",
         sound=None if desk is None else desk.report,

@@ -55,14 +55,14 @@ class Learning:
 
     def __init__(self, robot: Robot, joints: Iterable[str], *, is_kept: bool) -> None:
         """Read the file beside the robot file, if there is one; warn if it is damaged."""
-        from lss_motion.robot.learnt import Learnt, load_learnt
-
         self._robot = robot
         self._joints = [robot.joints[name] for name in joints]
         self._is_kept = is_kept and robot.path is not None
-        self._learnt = Learnt(robot=robot.name)
         if not self._is_kept:
             return
+        from lss_motion.robot.learnt import Learnt, load_learnt
+
+        self._learnt = Learnt(robot=robot.name)
         try:
             self._learnt = load_learnt(robot)
         except InputError as error:
@@ -80,6 +80,8 @@ class Learning:
 
     def note_careful(self, run: CarefulRun, joint: Joint) -> None:
         """Keep the result of one joint; of one that deviated, nothing is kept."""
+        if not self._is_kept:
+            return
         if (found := run.found) is None:
             self._keep(self._learnt.without(joint))
             return
@@ -109,8 +111,6 @@ class Learning:
         from lss_motion.robot.learnt import save_learnt
 
         self._learnt = learnt
-        if not self._is_kept:
-            return
         try:
             save_learnt(learnt, self._robot)
         except InputError as error:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.robot.model import Robot
+    from lss_motion.shows import Show
 
     Commands: TypeAlias = "argparse._SubParsersAction[CommandParser]"  # noqa: SLF001
     """The type that `add_subparsers` returns; argparse has no public name for it."""
@@ -244,6 +245,32 @@ def robot_at(path: Path, port: str | None) -> Robot:
     from lss_motion.robot.load import load_robot
 
     return with_port(load_robot(path), port)
+
+
+def prepared(
+    arguments: argparse.Namespace,
+    *,
+    may_query: bool,
+    speed_ratio: float = 1.0,
+    loop: int | str | None = None,
+    is_following: bool = False,
+) -> Show:
+    """Return the show in the file of a command: `shows.prepare`, or what was kept of it."""
+    from lss_motion import shows
+    from lss_motion.show_cache import cached
+
+    names = (arguments.file, arguments.robot, arguments.robot_cache)
+    return cached(
+        (*map(str, names), speed_ratio, loop, is_following),
+        lambda: shows.prepare(
+            arguments.file,
+            arguments.robot,
+            reader(arguments, may_query=may_query),
+            speed_ratio=speed_ratio,
+            loop=loop,
+            is_following=is_following,
+        ),
+    )
 
 
 def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path], Robot]:

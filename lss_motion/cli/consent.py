@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
-from lss_motion.files.output import user_folder, write_output
+from lss_motion.files.output import state_directory, write_output
 from lss_motion.files.source import counted, read_data
 from lss_motion.sequence.functions import calls_of
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from lss_motion.sequence.model import Cue
 
 ALLOW_HELP: Final = "call the Python functions of the show without the question"
-
-DIRECTORY_VARIABLE: Final = "LSS_MOTION_STATE_DIR"
-"""Environment variable with the folder of what the program remembers."""
 
 FILE_NAME: Final = "allowed_functions.json"
 
@@ -65,11 +62,6 @@ def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:
         return False
     _keep(path, digest)
     return True
-
-
-def state_directory() -> Path:
-    """Return the folder of what the program remembers, of the user or `LSS_MOTION_STATE_DIR`."""
-    return user_folder(DIRECTORY_VARIABLE, "state")
 
 
 def _digest(path: Path, calls: Sequence[Call]) -> str:

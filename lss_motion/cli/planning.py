@@ -17,6 +17,7 @@ from lss_motion.cli.commands import (
     add_json,
     add_robot_options,
     number_from,
+    prepared,
     print_json,
     reader,
 )
@@ -185,7 +186,7 @@ def _check(arguments: argparse.Namespace) -> int:
         return _check_stage(arguments)
     lines = []
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
-        show = shows.prepare(*_files(arguments), is_following=arguments.follow)
+        show = prepared(arguments, may_query=False, is_following=arguments.follow)
     else:
         from lss_motion.gait.pacing import gait_lines, paced
         from lss_motion.gait.to_sequence import sequence_from
@@ -290,7 +291,7 @@ def _compile(arguments: argparse.Namespace) -> int:
         shows.require_program_suffix(arguments.output)
     outputs = [Output(arguments.output, Kind.PROGRAM)]
     require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
-    show = shows.prepare(*_files(arguments), is_following=arguments.follow)
+    show = prepared(arguments, may_query=False, is_following=arguments.follow)
     if arguments.output is None:
         print(to_text(show.program, folder=Path.cwd()), end="")
         return EXIT_FINISHED

@@ -24,7 +24,7 @@ from lss_motion.cli.commands import (
     add_robot_options,
     add_version,
     number_from,
-    reader,
+    prepared,
 )
 from lss_motion.cli.consent import ALLOW_HELP, may_call
 from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
@@ -179,19 +179,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def play(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    from lss_motion import api, shows
-
     _check_outputs(arguments)
-    show = shows.prepare(
-        arguments.file,
-        arguments.robot,
+    show = prepared(
+        arguments,
+        may_query=not arguments.dry_run,
         speed_ratio=arguments.speed,
         loop=arguments.loop,
         is_following=arguments.follow is not None,
-        read_robot=reader(arguments, may_query=not arguments.dry_run),
     )
-    robot = api.with_port(show.robot, arguments.port)
-    _check(arguments, show, is_simulated=api.is_simulated(robot))
+    from lss_motion.connection import is_simulated, with_port
+
+    robot = with_port(show.robot, arguments.port)
+    _check(arguments, show, is_simulated=is_simulated(robot))
     if arguments.dry_run:
         from lss_motion.summaries import program_lines
 
@@ -205,7 +204,7 @@ def play(arguments: argparse.Namespace) -> int:
         put("no: nothing was played", sys.stderr)
         return EXIT_INTERRUPTED
     is_asked = not arguments.virtual and must_ask(arguments, robot)
-    is_real = not api.is_simulated(robot)
+    is_real = not is_simulated(robot)
     learning = Learning(robot, show.program.start_deg, is_kept=is_real)
     code = None
     if not arguments.careful:
@@ -235,16 +234,15 @@ def _play(
 
     That is offered where no `rate` is given.
     """
-    from lss_motion import api
-    from lss_motion.cli.report import report_lines
     from lss_motion.cli.terminal import Terminal
+    from lss_motion.connection import is_simulated
     from lss_motion.runtime.sound_choice import SoundChoice
 
     with contextlib.ExitStack() as stack:
         printer = Printer()
         stack.callback(printer.finish)
         print_line = discard if arguments.quiet else printer.print
-        if api.is_simulated(robot):
+        if is_simulated(robot):
             how = " in virtual time" if arguments.virtual else " in real time"
             print_line(simulated_text(show.program.name, robot, how))
         sound = SoundChoice(
@@ -276,6 +274,8 @@ def _play(
             print_line(line)
         if result.error is not None:
             raise _explained(result.error, result)
+        from lss_motion.cli.report import report_lines
+
         for line in report_lines(result.report.to_dict()):
             print_line(line)
         return _exit_code(result, terminal) or (EXIT_INPUT if problems else EXIT_FINISHED)
@@ -329,13 +329,14 @@ def _perform(
 
     Add to `problems` why the log is not complete, if it is not.
     """
-    from lss_motion.cli.display import Display
     from lss_motion.cli.terminal import LoggedControls
     from lss_motion.perform import Observer, perform
 
     with contextlib.ExitStack() as stack:
         display = None
         if not arguments.quiet and not arguments.virtual and sys.stderr.isatty():
+            from lss_motion.cli.display import Display
+
             display = Display(print_line=print_line)
             stack.callback(display.close)
         log = None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli import served
 from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
-from lss_motion.cli.consent import ALLOW_HELP, state_directory
+from lss_motion.cli.consent import ALLOW_HELP
 from lss_motion.cli.messages import put
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
@@ -298,6 +298,8 @@ def _token(stage: Path, *, is_new: bool) -> str:
     It is kept in the user's state folder, readable by that user only.
     """
     import hashlib
+
+    from lss_motion.files.output import state_directory
 
     name = hashlib.sha256(str(stage.resolve()).encode()).hexdigest()[:16]
     path = state_directory() / "tokens" / name

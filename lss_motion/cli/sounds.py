@@ -14,10 +14,12 @@ if TYPE_CHECKING:
 
 def with_kept_offset(robot: Robot) -> Robot:
     """Return the robot with the offset that was kept with the key k, if its file states none."""
+    from lss_motion.robot.model import learnt_path
+
+    if robot.path is None or robot.sound_offset_s or not learnt_path(robot.path).exists():
+        return robot
     from lss_motion.robot.learnt import load_learnt
 
-    if robot.path is None or robot.sound_offset_s:
-        return robot
     try:
         kept_s = load_learnt(robot).sound_offset_s
     except InputError:  # `careful.Learning` has named what is wrong with the file.
@@ -30,10 +32,11 @@ def offset_lines(robot: Robot, sound: SoundChoice) -> list[str]:
 
     `robot` is that of the robot file, without what was kept before.
     """
-    from lss_motion.robot.learnt import learnt_path, load_learnt, save_learnt
-
     if not sound.shift_s and not sound.is_kept:
         return []
+    from lss_motion.robot.learnt import load_learnt, save_learnt
+    from lss_motion.robot.model import learnt_path
+
     offset_s = round(with_kept_offset(robot).sound_offset_s + sound.shift_s, 4)
     by_hand = f"sound_offset_s: {offset_s:g} in the robot file"
     if not sound.is_kept:

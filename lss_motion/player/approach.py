@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.program.compile import TOLERANCE_DEG, driving_of, glide_moves, lines_use
-from lss_motion.program.model import Move, Program
+from lss_motion.program.model import TOLERANCE_DEG, Move, Program, driving_of
+from lss_motion.program.move_table import lines_use
 from lss_motion.program.reference_grid import DURATION_MAX_MS, GRID_S, Reference
 from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.verify import profiles
@@ -136,9 +136,11 @@ def approach(
         for joint in joints
         if joint.drive != "timed"
     }
-    moves = sorted(
-        [*moves, *glide_moves(courses, robot, GLIDE_TOLERANCE_DEG)], key=lambda m: m.due_us
-    )
+    if courses:
+        from lss_motion.program.compile import glide_moves  # Timed joints need no compiler.
+
+        moves += glide_moves(courses, robot, GLIDE_TOLERANCE_DEG)
+    moves.sort(key=lambda move: move.due_us)
     program = Program(
         name="approach",
         robot=robot.name,

@@ -24,7 +24,6 @@ from lss_motion.player.estimators import (
 from lss_motion.player.lost_moves import LostMoveDetector
 from lss_motion.player.setpoints import Setpoints, make_setpoints, step_gain_deg
 from lss_motion.player.standing import StandingCorrector
-from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.model import received_us
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
 from lss_motion.program.reference_grid import DURATION_MAX_MS, servo_limits
@@ -33,7 +32,7 @@ from lss_motion.program.streamed import FilterProfile
 from lss_motion.program.verify import make_profile, profiles
 from lss_motion.protocol.constants import status_from
 from lss_motion.protocol.framing import encode_move
-from lss_motion.robot.profile import Profile
+from lss_motion.robot.profile import Profile, profile_lead_s
 from lss_motion.units import MS_PER_S, NS_PER_US, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:

@@ -27,10 +27,10 @@ from lss_motion.player.settings_watch import Probe
 from lss_motion.player.streamer import Streamer
 from lss_motion.player.transactions import Dialogue
 from lss_motion.player.unasked import UnaskedWatches
-from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.verify import profiles
 from lss_motion.protocol.framing import Command, encode
 from lss_motion.robot.model import HALF_TURN_DEG
+from lss_motion.robot.profile import profile_lead_s
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:

@@ -18,10 +18,9 @@ import numpy as np
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.files.source import counted
 from lss_motion.program.accuracy import horn_errors
-from lss_motion.program.drives import choices, profile_lead_s
-from lss_motion.program.line import LineUse, line_use, reading_rate_hz
-from lss_motion.program.model import TIMED, Driving, Program, Repeat
-from lss_motion.program.move_table import columns_of, moves_of
+from lss_motion.program.drives import choices
+from lss_motion.program.model import TOLERANCE_DEG, Program, Repeat, driving_of
+from lss_motion.program.move_table import lines_use, moves_of
 from lss_motion.program.reference_grid import GRID_S, GivenCommand, Reference
 from lss_motion.program.schedule import (
     RELAXED_RATIOS,
@@ -32,20 +31,20 @@ from lss_motion.program.schedule import (
     overload_error,
 )
 from lss_motion.program.verify import verify_program
+from lss_motion.robot.profile import profile_lead_s
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan
 from lss_motion.units import MS_PER_S, s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.program.drives import Choice
+    from lss_motion.program.line import LineUse
     from lss_motion.program.model import Move
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Trajectory
 
-TOLERANCE_DEG: Final = 0.2
-"""How far the predicted horn may be from the plan (FACTS.md A18)."""
 WRITTEN_PASSES: Final = 4
 """Passes of a long loop that are written; one of them is repeated. The first, two in the middle and
 the last have every pass and every kind of seam."""
@@ -304,30 +303,3 @@ def _program(
 
 def _first_from(moves: Sequence[Move], from_us: int) -> int:
     return bisect_left(moves, from_us, key=lambda move: move.due_us)
-
-
-def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
-    """Return how the joints that are not timed are commanded."""
-    driving = {}
-    for name in names:
-        drive = robot.joints[name].drive
-        assert drive != "auto", "`choices` has replaced it"
-        count = robot.joints[name].filter_count if drive == "streamed" else 0
-        driving[name] = Driving(drive, count)
-    return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
-
-
-def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
-    """Return how the moves use each bus: the check of the schedule, from the bytes alone."""
-    columns = columns_of(moves, robot)
-    slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
-    joints = list(robot.joints.values())
-    commanded = [joints[index] for index in np.flatnonzero(np.bincount(columns.joint)).tolist()]
-    uses = {}
-    for index, (name, bus) in enumerate(robot.buses.items()):
-        own_us = slots_us[columns.bus == index]
-        own = [joint for joint in commanded if joint.bus == name and joint.drive != "stepped"]
-        use = line_use(name, bus.baud_bps, own_us)
-        rate_hz = reading_rate_hz(own, bus.baud_bps, own_us)
-        uses[name] = replace(use, reading_rate_hz=rate_hz)
-    return uses

@@ -86,16 +86,6 @@ def make_fitter(
     return StepFitter(reference, limits, seams_s)
 
 
-def profile_lead_s(joint: Joint) -> float:
-    """Return by how much a joint's profile is earlier than its horn.
-
-    This is the lag of its servo and, unless its model includes it, half of the control tick at
-    which the servo takes up a command.
-    """
-    half_tick_s = 0.0 if joint.drive == "streamed" else 0.5 * joint.response.loop_s
-    return joint.response.lag_s + half_tick_s
-
-
 def late_max_s(joint: Joint) -> float:
     """Return by how much a command may be late in a schedule that is not too tight.
 

@@ -19,16 +19,19 @@ from lss_motion.protocol.framing import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from lss_motion.program.line import LineUse
-    from lss_motion.robot.model import Drive, Joint
+    from lss_motion.robot.model import Drive, Joint, Robot
     from lss_motion.robot.on_fault import Escalations
     from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.model import GivenUp, Mark, SlowSpan, WaitPoint
 
 T = TypeVar("T")
+
+TOLERANCE_DEG: Final = 0.2
+"""How far the predicted horn may be from the plan (FACTS.md A18)."""
 
 
 class Move(NamedTuple):
@@ -80,6 +83,17 @@ class Driving:
 
 
 TIMED: Final = Driving("timed")
+
+
+def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
+    """Return how the joints that are not timed are commanded."""
+    driving = {}
+    for name in names:
+        drive = robot.joints[name].drive
+        assert drive != "auto", "`choices` has replaced it"
+        count = robot.joints[name].filter_count if drive == "streamed" else 0
+        driving[name] = Driving(drive, count)
+    return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,12 @@ program of tens of thousands of moves is cheap to build. `Columns` adds what dep
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
+from lss_motion.program.line import line_use, reading_rate_hz
 from lss_motion.program.model import Move
 from lss_motion.protocol.framing import encode_move
 from lss_motion.units import LINE_BITS_PER_BYTE, US_PER_S
@@ -19,6 +20,7 @@ from lss_motion.units import LINE_BITS_PER_BYTE, US_PER_S
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from lss_motion.program.line import LineUse
     from lss_motion.program.moves import FittedJoint
     from lss_motion.program.response import FloatArray, Index, IntArray
     from lss_motion.robot.model import Robot
@@ -209,3 +211,19 @@ def columns_of(moves: Sequence[Move], robot: Robot) -> Columns:
         bauds[bus],
         sizes_bytes(table.servo_id, table.target_wire, table.duration_ms),
     )
+
+
+def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
+    """Return how the moves use each bus: the check of the schedule, from the bytes alone."""
+    columns = columns_of(moves, robot)
+    slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
+    joints = list(robot.joints.values())
+    commanded = [joints[index] for index in np.flatnonzero(np.bincount(columns.joint)).tolist()]
+    uses = {}
+    for index, (name, bus) in enumerate(robot.buses.items()):
+        own_us = slots_us[columns.bus == index]
+        own = [joint for joint in commanded if joint.bus == name and joint.drive != "stepped"]
+        use = line_use(name, bus.baud_bps, own_us)
+        rate_hz = reading_rate_hz(own, bus.baud_bps, own_us)
+        uses[name] = replace(use, reading_rate_hz=rate_hz)
+    return uses

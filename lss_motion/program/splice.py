@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.program.compile import lines_use
-from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.line import LineSchedule, LineUse
 from lss_motion.program.model import Move, Program, received_us, target_deg
-from lss_motion.program.move_table import moves_of
+from lss_motion.program.move_table import lines_use, moves_of
 from lss_motion.program.moves import InitialMotion
 from lss_motion.program.reference_grid import GRID_S, Reference
 from lss_motion.program.schedule import RELAXED_RATIOS, Schedule, overload_error, slot_us
 from lss_motion.program.verify import verify_profiles
-from lss_motion.robot.profile import Profile, ramp_deg_s2
+from lss_motion.robot.profile import Profile, profile_lead_s, ramp_deg_s2
 from lss_motion.units import s_from_ms, s_from_us, us_from_s
 
 if TYPE_CHECKING:

@@ -36,8 +36,8 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
-from lss_motion.program.compile import lines_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
+from lss_motion.program.move_table import lines_use
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.on_fault import escalations_from, escalations_text
 from lss_motion.robot.servo_models import drive_problem

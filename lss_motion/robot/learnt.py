@@ -23,6 +23,7 @@ from pydantic import AfterValidator, Field
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.files.validation import FileModel, Name, Text, json_schema, validate
 from lss_motion.files.yaml_source import read_yaml
+from lss_motion.robot.model import learnt_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 FIRST_LINE: Final = "# lss_motion learnt 1"
 """By it a file is known as one of this kind (`files.output.Kind`)."""
-SUFFIX: Final = ".learnt.yaml"
 HASH_CHARS: Final = 16
 PLAIN: Final = re.compile(r"[A-Za-z]\w*|\d{4}-\d\d-\d\d", re.ASCII)
 WORDS: Final = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
@@ -134,11 +134,6 @@ class Learnt(FileModel):
 
 def _blank(settings: str) -> LearntJoint:
     return LearntJoint(settings=settings)
-
-
-def learnt_path(robot_path: Path) -> Path:
-    """Return the path of what is learnt about the robot of a robot file."""
-    return robot_path.with_name(robot_path.stem + SUFFIX)
 
 
 def settings_hash(joint: Joint) -> str:

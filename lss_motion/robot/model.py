@@ -339,3 +339,8 @@ class Robot:
         return next(
             given[cause] for given in (own, show, self.on_fault, DEFAULTS) if cause in given
         )
+
+
+def learnt_path(robot_path: Path) -> Path:
+    """Return the path of what `robot.learnt` keeps about the robot of a robot file."""
+    return robot_path.with_name(f"{robot_path.stem}.learnt.yaml")

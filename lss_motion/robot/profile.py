@@ -39,6 +39,16 @@ def ramp_deg_s2(joint: Joint) -> float:
     return ramp_setting_deg_s2(joint) * joint.ramp_ratio
 
 
+def profile_lead_s(joint: Joint) -> float:
+    """Return by how much a joint's profile is earlier than its horn.
+
+    This is the lag of its servo and, unless its model includes it, half of the control tick at
+    which the servo takes up a command.
+    """
+    half_tick_s = 0.0 if joint.drive == "streamed" else 0.5 * joint.response.loop_s
+    return joint.response.lag_s + half_tick_s
+
+
 class Piece(NamedTuple):
     """A part of a profile with constant acceleration, from `start_s` until the next piece."""
 

@@ -413,8 +413,3 @@ def write_report(report: Report, path: Path) -> None:
     text = json.dumps(report.to_dict(), indent=1)
     text = _NUMBERS.sub(lambda found: "[" + " ".join(found[1].split()) + "]", text)
     write_output(path, text + "\n")
-
-
-def run_seconds(started_ns: int, ended_ns: int) -> float:
-    """Return the duration of a run in seconds."""
-    return s_from_ns(ended_ns - started_ns)

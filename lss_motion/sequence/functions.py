@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.record import note_unrepeatable
 from lss_motion.files.source import known_names, read_data
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def function_problem(run: str, folder: str) -> str:
     The module is searched in `folder`, then among those installed. It is not run. The process that
     calls the functions imports it before a show in real time moves, and finds the other errors.
     """
+    note_unrepeatable()  # Where Python finds modules is not recorded.
     module_name, _, name = run.partition(":")
     spec = _found(module_name, folder)
     if spec is None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.record import looked_for
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Led
@@ -302,7 +303,7 @@ def bed(
         name = entry.file
         style = SoundStyle(gain_db=entry.gain_db, is_looped=entry.loop, is_bed=True)
     path = source.path.absolute().parent / str(name)
-    if not path.is_file():
+    if not looked_for(path, is_found=path.is_file()):
         note(place, f"sound file {str(name)!r} not found; looked for {path}")
     yield Cue(at_s=0.0, sound=str(path), style=style, line=source.line(place))
 
@@ -332,8 +333,8 @@ def cues(
         for key in ("lead_s", "gain_db", "loop", "duck_db"):
             if getattr(entry, key) and entry.sound is None:
                 note((*place, key), f"{key} belongs to a sound")
-        if entry.sound is not None and not (folder / entry.sound).is_file():
-            path = folder / entry.sound
+        path = None if entry.sound is None else folder / entry.sound
+        if path is not None and not looked_for(path, is_found=path.is_file()):
             note((*place, "sound"), f"sound file {entry.sound!r} not found; looked for {path}")
         if entry.run is not None and (problem := function_problem(entry.run, str(folder))):
             note((*place, "run"), f"run: {entry.run!r} cannot be used: {problem}")

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.verify import driven, profiles
+from lss_motion.robot.profile import profile_lead_s
 from lss_motion.studio.view_curves import (
     ACCEL_RATIO,
     SPEED_RATIO,

@@ -13,19 +13,16 @@ import hashlib
 import io
 import json
 import math
-import tempfile
 import tokenize
 import zipfile
-from contextlib import suppress
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.files.output import user_folder
-from lss_motion.files.source import read_data
+from lss_motion.files.cache import BYTES_MAX, PLAN_SUFFIX, cache_directory, store
+from lss_motion.files.source import bounded_data
 from lss_motion.trajectory.model import (
     AskedSpan,
     CommandedMove,
@@ -44,6 +41,7 @@ from lss_motion.trajectory.recheck import is_within_limits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -56,16 +54,8 @@ if TYPE_CHECKING:
 PLANNER_VERSION: Final = 16
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
-DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
-"""Environment variable with the folder of the cache."""
-
-BYTES_MAX: Final = 128 * 1024 * 1024
-"""The oldest entries are removed beyond this size. Chosen: some fifty long shows."""
-
 PIECES_MIN: Final = 64
 """Plans with fewer polynomials and clock pieces are not stored: they are made as fast as loaded."""
-
-SUFFIX: Final = ".plan.npz"
 
 _DIGEST_BYTES: Final = 32
 """Length of the SHA-256 hash before the content."""
@@ -95,11 +85,6 @@ class _MissError(Exception):
     """An entry is not there, or is not a plan that may be played."""
 
 
-def cache_directory() -> Path:
-    """Return the folder of the plans: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
-    return user_folder(DIRECTORY_VARIABLE, "cache", "plans")
-
-
 def cached(
     name: str,
     make: Callable[[], Trajectory],
@@ -112,7 +97,7 @@ def cached(
     entry that is damaged or does not fit is replaced. A cache that cannot be written is no error;
     the plan is then not stored.
     """
-    path = cache_directory() / f"{name}{SUFFIX}"
+    path = cache_directory() / f"{name}{PLAN_SUFFIX}"
     try:
         return _loaded(path, name, fits, robot)
     except _MissError:
@@ -126,7 +111,7 @@ def cached(
 def _loaded(path: Path, name: str, fits: Callable[[Trajectory], bool], robot: Robot) -> Trajectory:
     """Return the plan of an entry, or raise `_MissError`."""
     try:
-        whole = read_data(path, BYTES_MAX)
+        whole = bounded_data(path, BYTES_MAX)
     except InputError as error:
         raise _MissError from error
     content = memoryview(whole)[_DIGEST_BYTES:]
@@ -272,31 +257,5 @@ def _store(path: Path, name: str, trajectory: Trajectory) -> None:
         arrays |= {f"{number}.{key}": getattr(motion.clock, key) for key in _CLOCK}
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # Renamed when complete, so that another process never reads a part of an entry. Not put on
-        # the disk at once: an entry that power loss damages is a miss.
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            fresh = Path(part.name)
-            try:
-                part.write(_digest(name, content.getbuffer()))
-                part.write(content.getbuffer())
-                part.flush()
-                fresh.replace(path)
-            finally:
-                fresh.unlink(missing_ok=True)
-        _trim(path.parent)
-
-
-def _trim(folder: Path) -> None:
-    """Remove the oldest entries beyond `BYTES_MAX`."""
-    entries = sorted(
-        ((entry.stat(), entry) for entry in folder.glob(f"*{SUFFIX}")),
-        key=lambda pair: pair[0].st_mtime_ns,
-        reverse=True,
-    )
-    total = 0
-    for status, entry in entries:
-        total += status.st_size
-        if total > BYTES_MAX:
-            entry.unlink(missing_ok=True)
+    packed = content.getbuffer()
+    store(path, [_digest(name, packed), packed])

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from lss_motion.program import segments
 from lss_motion.program.compile import compile_program
-from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.fit import TimedFit
 from lss_motion.program.line import LineSchedule, line_use
 from lss_motion.program.moves import fitted_profiles, profiles_from_rest, replayed
@@ -29,7 +28,7 @@ from lss_motion.program.search import SEGMENT_MIN_S
 from lss_motion.program.text import from_text, to_text
 from lss_motion.program.verify import profiles
 from lss_motion.robot.model import Bus, Joint, Response, Robot
-from lss_motion.robot.profile import Piece, Profile, trapezoid, travel_speed
+from lss_motion.robot.profile import Piece, Profile, profile_lead_s, trapezoid, travel_speed
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.bus import SimBus

@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from lss_motion.robot.learnt import learnt_path, load_learnt
+from lss_motion.robot.learnt import load_learnt
 from lss_motion.robot.load import load_robot
+from lss_motion.robot.model import learnt_path
 from tests.pty.test_play import (
     SWAY,
     at_a_keyboard,

@@ -22,7 +22,7 @@ from lss_motion import api
 from lss_motion.errors import LineLoadError
 from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase, PhaseEntered
-from lss_motion.program.compile import TOLERANCE_DEG
+from lss_motion.program.model import TOLERANCE_DEG
 from lss_motion.robot.servo_models import SERVO_ID_MAX
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.bus import bus_from_robot

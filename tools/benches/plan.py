@@ -26,8 +26,8 @@ import numpy as np
 
 from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
+from lss_motion.files.cache import DIRECTORY_VARIABLE
 from lss_motion.sequence.model import Timing
-from lss_motion.trajectory.plan_cache import DIRECTORY_VARIABLE
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.retime import laid_out, slowed_windows, stops, timed_windows
 from lss_motion.trajectory.solver import Cells, fastest_squares

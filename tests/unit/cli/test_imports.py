@@ -11,6 +11,7 @@ import pytest
 
 from lss_motion.cli.commands import COMMANDS
 from lss_motion.cli.main import COMPLETION, GROUPS
+from lss_motion.show_cache import MAKERS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
@@ -85,6 +86,60 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
     needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.gait.load"}
     needless |= {"lss_motion.stage.load", "lss_motion.stage.model"}
     assert not loaded & (others | needless)
+
+
+def _loaded_by_play(tmp_path: Path) -> set[str]:
+    """Return the modules that are loaded when the first byte of motion leaves."""
+    code = (
+        "import sys\n"
+        "from lss_motion.cli.start import play\n"
+        "from lss_motion.sim.bus import SimBus\n"
+        "receive = SimBus._receive\n"
+        "def look(self, now_ns, sent):\n"
+        "    if b'D' in sent and not look.loaded:\n"
+        "        look.loaded = sorted(sys.modules)\n"
+        "    receive(self, now_ns, sent)\n"
+        "look.loaded, SimBus._receive = [], look\n"
+        "play()\n"
+        "print('loaded:', *look.loaded)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(EXAMPLES / "wave.yaml"), "--virtual", "--loop", "1"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "LSS_MOTION_CACHE_DIR": str(tmp_path)},
+    )
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> None:
+    made, kept = _loaded_by_play(tmp_path), _loaded_by_play(tmp_path)
+    assert {"pydantic", "yaml", "lss_motion.trajectory.planner"} <= made
+    assert {"lss_motion.program.verify", "lss_motion.player.player"} <= kept
+    libraries = {
+        "pydantic",
+        "yaml",
+        "scipy",
+        "toppra",
+        "rich",
+        "serial",
+        "platformdirs",
+        "numpy.ma",
+    }
+    makers = {
+        *(f"lss_motion.trajectory.{name}" for name in ("planner", "plan_cache", "recheck")),
+        *(f"lss_motion.program.{name}" for name in ("compile", "drives", "fit", "search")),
+        *(f"lss_motion.{name}" for name in ("robot.load", "robot.learnt", "sequence.load")),
+        *("lss_motion.files.yaml_source", "lss_motion.files.validation", "lss_motion.api"),
+        *("lss_motion.cli.display", "lss_motion.cli.report", "lss_motion.runtime.report"),
+        *("lss_motion.runtime.performer", "subprocess", "zipfile"),
+    }
+    assert not kept & (libraries | makers)
+    # What made the show is in the hash of its version: `show_cache.MAKERS`, or the top folder.
+    parts = {tuple(name.split(".")[1:]) for name in made - kept if name.startswith("lss_motion.")}
+    others = {part[0] for part in parts if len(part) > 1 and part[0] not in MAKERS}
+    assert others <= {"cli"}
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -8,12 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import platformdirs
 import pytest
 
 from lss_motion.cli import play
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.files.output import write_output
+from lss_motion.files.output import user_folder, write_output
 
 ROBOT = """\
 robot: test
@@ -227,3 +228,17 @@ def test_the_check_of_a_new_file_comes_before_the_old_one_is_lost(tmp_path):
     with pytest.raises(InputError, match="is bad"):
         write_output(path, "bad\n", check=refused)
     assert texts(tmp_path) == {"kept.yaml": MINE.encode()}
+
+
+@pytest.mark.parametrize("chosen", [None, "/somewhere/else", "not/absolute", ""])
+def test_the_folders_of_the_user_are_those_of_platformdirs(chosen, monkeypatch):
+    for variable in ("XDG_CACHE_HOME", "XDG_STATE_HOME", "OWN_FOLDER"):
+        monkeypatch.delenv(variable, raising=False)
+        if chosen is not None and variable != "OWN_FOLDER":
+            monkeypatch.setenv(variable, chosen)
+    for kind, own in (
+        ("cache", platformdirs.user_cache_path),
+        ("state", platformdirs.user_state_path),
+    ):
+        found = user_folder("OWN_FOLDER", kind, "below")
+        assert found == own("lss_motion", appauthor=False) / "below"

@@ -8,10 +8,9 @@ import pytest
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.compile import PREROLL_S, compile_program
-from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.model import received_us
 from lss_motion.program.verify import profiles
-from lss_motion.robot.profile import ramp_deg_s2
+from lss_motion.robot.profile import profile_lead_s, ramp_deg_s2
 from lss_motion.sequence.model import Timing
 from lss_motion.units import line_time_ns
 

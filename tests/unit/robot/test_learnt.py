@@ -12,13 +12,13 @@ from lss_motion.errors import InputError
 from lss_motion.robot.learnt import (
     FIRST_LINE,
     Learnt,
-    learnt_path,
     learnt_schema,
     load_learnt,
     save_learnt,
     settings_hash,
 )
 from lss_motion.robot.load import load_robot
+from lss_motion.robot.model import learnt_path
 
 ROBOT = """
 robot: pair

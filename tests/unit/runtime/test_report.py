@@ -11,7 +11,7 @@ from lss_motion.player.player import Player
 from lss_motion.program.model import Move, Program, Repeat
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.runtime.report import JointReport, Report, TraceReport, make_report, run_seconds
+from lss_motion.runtime.report import JointReport, Report, TraceReport, make_report
 from lss_motion.trajectory.model import SlowSpan
 from tests.joints import joint
 
@@ -95,7 +95,3 @@ def test_faults_are_named():
 
 def test_warnings_are_kept():
     assert report(player(), warnings=["it was late"]).warnings == ("it was late",)
-
-
-def test_run_seconds_are_seconds():
-    assert run_seconds(1_000_000_000, 3_500_000_000) == 2.5

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import PlanningError
+from lss_motion.files import cache
 from lss_motion.sequence.model import Layer, Sequence
-from lss_motion.trajectory import plan_cache
 from lss_motion.trajectory.model import PathClock, PathMotion
 from lss_motion.trajectory.path import Path as JointPath
 from lss_motion.trajectory.planner import plan
@@ -33,7 +33,7 @@ def fast_show(frame):
 
 
 def entry():
-    (path,) = plan_cache.cache_directory().glob(f"*{plan_cache.SUFFIX}")
+    (path,) = cache.cache_directory().glob(f"*{cache.PLAN_SUFFIX}")
     return path
 
 
@@ -50,7 +50,7 @@ def put(path, arrays, *, save=np.savez):
 
 
 def seal(path, content):
-    name = path.name.removesuffix(plan_cache.SUFFIX)
+    name = path.name.removesuffix(cache.PLAN_SUFFIX)
     path.write_bytes(hashlib.sha256(name.encode() + content).digest() + content)
 
 
@@ -252,7 +252,7 @@ def test_a_poisoned_layer_is_a_miss(make_robot, frame):
     angles = [frame(0.25 * n, base=10.0 * (-1) ** n, elbow=float(n)) for n in range(40)]
     layered = replace(show(*angles), layers=(layer,))
     planned = plan(layered, make_robot())
-    for path in plan_cache.cache_directory().iterdir():
+    for path in cache.cache_directory().iterdir():
         arrays = content_of(path)
         arrays["0.coefficients"] *= 0.5
         put(path, arrays)

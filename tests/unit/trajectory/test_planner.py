@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lss_motion.files import cache
 from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory import plan_cache, planner
+from lss_motion.trajectory import planner
 from lss_motion.trajectory.planner import plan
 from tests.unit.trajectory.shows import show
 
@@ -140,13 +141,13 @@ def test_every_field_of_a_keyframe_and_every_limit_changes_the_cache_name(
 def test_other_limits_give_another_entry(fast_move, make_robot):
     quick, slow = plan(fast_move, make_robot()), plan(fast_move, make_robot(speed=90.0))
     assert slow.duration_s > quick.duration_s
-    assert len(list(plan_cache.cache_directory().glob(f"*{plan_cache.SUFFIX}"))) == 2
+    assert len(list(cache.cache_directory().glob(f"*{cache.PLAN_SUFFIX}"))) == 2
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not a zip", None])
 def test_a_damaged_entry_is_replaced(fast_move, make_robot, damage):
     planned = plan(fast_move, make_robot())
-    (entry,) = plan_cache.cache_directory().glob(f"*{plan_cache.SUFFIX}")
+    (entry,) = cache.cache_directory().glob(f"*{cache.PLAN_SUFFIX}")
     whole = entry.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 0xFF]) + whole[middle + 1 :]
@@ -157,13 +158,13 @@ def test_a_damaged_entry_is_replaced(fast_move, make_robot, damage):
 
 def test_a_cache_that_cannot_be_written_is_no_error(fast_move, make_robot, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv(plan_cache.DIRECTORY_VARIABLE, str(tmp_path / "file" / "below"))
+    monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path / "file" / "below"))
     assert plan(fast_move, make_robot()).duration_s > 0.2
 
 
 def test_the_cache_stays_bounded(fast_move, make_robot, monkeypatch):
-    monkeypatch.setattr(plan_cache, "BYTES_MAX", 60_000)
+    monkeypatch.setattr(cache, "BYTES_MAX", 60_000)
     for speed in range(60, 120, 5):
         plan(fast_move, make_robot(speed=float(speed)))
-    sizes = [entry.stat().st_size for entry in plan_cache.cache_directory().iterdir()]
+    sizes = [entry.stat().st_size for entry in cache.cache_directory().iterdir()]
     assert 0 < sum(sizes) <= 60_000
