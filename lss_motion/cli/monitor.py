@@ -45,9 +45,9 @@ allows. Sends queries only; moves and changes nothing. Ctrl-C ends it.
   lss-motion monitor my_robot.yaml --for 10 | cat      lines instead of a table
 
 It beeps once when a servo gets hot, draws much current, has a wrong supply voltage, is stuck, is in
-safe mode, or stops replying; and when another host asks the servos, or one sends by itself. Then it
-asks nothing for a second, to find out which. Angles and speeds are those of the servos, not of the
-joints.
+safe mode, or stops replying; and when another host asks the servos, or one sends by itself. To
+notice that, it asks nothing for a moment every few seconds. Angles and speeds are those of the
+servos, not of the joints.
 """
 
 

@@ -5,7 +5,9 @@ slowly. Nothing is commanded and nothing moves; another program may move the ser
 alarm reports a servo that is hot, overloaded, badly supplied, stuck or silent.
 
 Where more arrives than was asked for, nothing is asked for a moment. What arrives all the same is
-of another host, or of a servo that sends by itself; if nothing does, several servos share an id.
+of another host, or of a servo that sends by itself; if nothing does, several servos share an id. A
+host that asks seldom is not noticed by that on a full line, so every few seconds nothing is asked
+for a shorter time.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from lss_motion.maintenance.discovery import (
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
-from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.query_tracker import SLOW_TIMEOUT_NS, QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.player.unasked import UnaskedWatch, disturbed_text
@@ -47,11 +49,18 @@ HISTORY: Final = 40
 """The positions of a sparkline."""
 MISSES_MAX: Final = 3
 """Rounds without any answer after which a servo is silent."""
-LATE_NS: Final = 50 * NS_PER_MS
-"""What arrives so shortly after the last query may be its second reply, held back by an adapter
-for 16 ms (FACTS.md H1)."""
+LATE_NS: Final = SLOW_TIMEOUT_NS
+"""What arrives so shortly after the last query may be a late reply to it."""
 SILENCE_NS: Final = 1200 * NS_PER_MS
 """How long nothing is asked. Chosen: a host that asks once a second is noticed by then."""
+CHECK_NS: Final = 300 * NS_PER_MS
+"""How long nothing is asked in between, if nothing arrives; otherwise `SILENCE_NS` longer."""
+CHECK_EVERY_NS: Final = 5 * NS_PER_S
+"""How often nothing is asked in between. Chosen: it costs 7 % of the readings."""
+CHECK_FIRST_NS: Final = 3 * NS_PER_S
+"""When that happens first."""
+CHECK_ARRIVALS: Final = 2
+"""So many arrivals show another host; one may be a very late reply."""
 FIRST_NS: Final = 300 * NS_PER_MS
 """How long nothing is asked after the first arrival. Chosen: other programs ask all servos in
 that time, so that all are named."""
@@ -119,6 +128,8 @@ class _Silence:
 
     from_ns: int
     until_ns: int
+    is_check: bool
+    """Whether nothing has arrived yet that was not asked for."""
     replies: Counter[int] = field(default_factory=Counter)
     """Replies by servo id."""
     unreadable: int = 0
@@ -131,7 +142,14 @@ class _Silence:
         if not replies:
             self.unreadable += 1
         self.replies.update(one.servo_id for one in replies if one.servo_id is not None)
-        self.until_ns = min(self.until_ns, now_ns + FIRST_NS)
+        if self.is_check and self.arrivals == 1:
+            self.until_ns = now_ns + SILENCE_NS
+        else:
+            self.until_ns = min(self.until_ns, now_ns + FIRST_NS)
+
+    @property
+    def arrivals(self) -> int:
+        return self.replies.total() + self.unreadable
 
 
 @dataclass(slots=True)
@@ -149,26 +167,43 @@ class _BusRounds:
     suspended: dict[int, int] = field(default_factory=dict)
     """Servo id → end of the time in which it is not polled."""
     silence: _Silence | None = None
+    check_ns: int | None = None
+    """When nothing is asked again; None: the first round has not begun."""
     found: str = ""
     """Why more arrives than was asked for, as a text for a person; empty if that is not so."""
+    is_other: bool = False
+    """Whether `found` is about another host."""
 
     def listen(self, now_ns: int) -> bool:
-        """Return whether nothing may be asked now: it is found out why too much arrives."""
-        if self.silence is None:
-            if self.watch.advance(now_ns):
-                from_ns = now_ns + LATE_NS
-                self.silence = _Silence(from_ns, from_ns + SILENCE_NS)
-            elif not self.watch.is_disturbed:
-                self.found = ""
-        elif now_ns >= self.silence.until_ns:
-            heard, self.silence = self.silence, None
-            is_other = bool(heard.replies or heard.unreadable)
-            self.found = (
-                disturbed_text(f"bus {self.name}", heard.replies, heard.unreadable)
-                if is_other
-                else _shared_text(f"bus {self.name}", self.watch.replies)
-            )
+        """Return whether nothing may be asked now: it is found out whether others send."""
+        if self.check_ns is None:
+            self.check_ns = now_ns + CHECK_FIRST_NS
+        if self.silence is not None:
+            if now_ns >= self.silence.until_ns:
+                heard, self.silence = self.silence, None
+                self.check_ns = now_ns + CHECK_EVERY_NS
+                self._judge(heard)
+            return self.silence is not None
+        is_excess = self.watch.advance(now_ns)
+        if is_excess or now_ns >= self.check_ns:
+            from_ns = now_ns + LATE_NS
+            until_ns = from_ns + (SILENCE_NS if is_excess else CHECK_NS)
+            self.silence = _Silence(from_ns, until_ns, is_check=not is_excess)
+        elif not self.is_other and not self.watch.is_disturbed:
+            self.found = ""
         return self.silence is not None
+
+    def _judge(self, heard: _Silence) -> None:
+        """Use what arrived while nothing was asked."""
+        if heard.arrivals >= (CHECK_ARRIVALS if heard.is_check else 1):
+            self.is_other = True
+            where = f"bus {self.name}"
+            self.found = disturbed_text(where, heard.replies, heard.unreadable)
+        elif not heard.is_check:
+            self.is_other = False
+            self.found = _shared_text(f"bus {self.name}", self.watch.replies)
+        elif self.is_other:
+            self.is_other, self.found = False, ""
 
     def begin(self, now_ns: int) -> None:
         """Begin the next round."""

@@ -108,8 +108,7 @@ class Player:
         self.lines = self._session.lines
         self.trackers = self._session.trackers
         self.unasked = self._session.unasked
-        self._faults = FaultHandler(self._session)
-        self._stalls = StallDetector()
+        self._faults, self._stalls = FaultHandler(self._session), StallDetector()
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._must_ask = must_ask
         self._is_open = self._was_open = is_open
@@ -423,6 +422,7 @@ class Player:
             return True
         if self._dialogue is not None:
             self._dialogue.advance(now_ns)
+            self._report_faults()
             if not self._dialogue.is_finished:
                 return False
             self._after_dialogue(now_ns)

@@ -189,6 +189,7 @@ class Session:
         self.original = preflight.answers
         self.standing_deg = handshake.standing_deg(self.joints, preflight.answers)
         preflight.require_own_ids()
+        self.unasked.start()
         return checks.check(
             self.program,
             self.robot,

@@ -107,11 +107,15 @@ class UnaskedWatches:
         self, lines: Mapping[str, SerialLine], trackers: Mapping[str, QueryTracker]
     ) -> None:
         self._watches = {name: UnaskedWatch(line, trackers[name]) for name, line in lines.items()}
+        self._look_ns: int | None = None
+
+    def start(self) -> None:
+        """Watch from now on: no servos share an id, whose replies would damage each other."""
         self._look_ns = 0
 
     def advance(self, now_ns: int) -> list[str]:
         """Return a text for each bus on which more arrives than was asked for, when it begins."""
-        if now_ns < self._look_ns:
+        if self._look_ns is None or now_ns < self._look_ns:
             return []
         self._look_ns = now_ns + LOOK_NS
         found = [(name, watch) for name, watch in self._watches.items() if watch.advance(now_ns)]

@@ -293,6 +293,15 @@ def test_servos_that_share_an_id_are_no_other_host(watched, spec):
     assert "several servos share an id" in text
 
 
+@pytest.mark.parametrize("every_s", [0.3, 0.9])
+def test_a_host_that_asks_seldom_is_noticed_between_the_rounds(watched, spec, every_s):
+    """On a full line its replies damage others, and so bring no more than was asked for."""
+    master = Fault(kind=FaultKind.SECOND_MASTER, text="#1QV", every_s=every_s, at_s=0.5)
+    watch, _, _ = watched(spec(1), spec(2), faults=[master], for_s=5.0)
+    (text,) = watch.disturbed.values()
+    assert "bus main: servo 1 sent" in text
+
+
 def test_an_alarm_about_another_host_ends_when_that_is_gone(watched, spec):
     master = Fault(kind=FaultKind.SECOND_MASTER, text="#1QV", every_s=0.02, until_s=2.0)
     seen = []
