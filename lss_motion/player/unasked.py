@@ -25,7 +25,7 @@ LOOK_NS: Final = 250 * NS_PER_MS
 """How often the counts of a bus are compared."""
 ALLOWED_HZ: Final = 0.5
 """So many arrivals a second beyond the queries prove nothing: one damaged reply may be two pieces.
-Measured: at most 0.1 a second with a tenth of the replies damaged."""
+Measured: up to 0.2 a second with a tenth of the replies damaged, 0.1 with a hundredth."""
 EXCESS_MIN: Final = 8.0
 """From so many arrivals beyond the queries and `ALLOWED_HZ` on, something else causes them. Chosen:
 the replies of the longest row of queries may come late, and count before their queries do."""
