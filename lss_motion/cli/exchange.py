@@ -329,8 +329,8 @@ def _write_sketch(show: Show, output: Path) -> None:
     write_output(header, made.header)
     write_output(output, made.sketch)
     print(f"{output}, {header.name}: {len(show.program.moves)} commands")
-    for text in made.left_out:
-        print(f"Not carried over: {text}")
+    for text in (*(f"Not carried over: {text}" for text in made.left_out), *made.notes):
+        print(text)
     if output.absolute().parent.name != output.stem:
         print(f"the Arduino IDE opens it in a folder named {output.stem}")
 

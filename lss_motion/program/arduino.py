@@ -42,16 +42,20 @@ SETTLE_MS: Final = 500
 ORDER_BYTES: Final = 10
 """Flash memory of one command."""
 
+AVR_TABLE_MAX_BYTES: Final = 32_767
+"""An array is no larger in a program for 8-bit boards: `ptrdiff_t` has 16 bits there (avr-gcc)."""
+
 _STEM: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,62}", re.ASCII)
 """Names of sketches that the Arduino IDE accepts."""
 
 
 class Sketch(NamedTuple):
-    """The texts of the two files, and what of the show they do not contain."""
+    """The texts of the two files, what of the show they do not contain, and what they need."""
 
     sketch: str
     header: str
     left_out: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 class _Order(NamedTuple):
@@ -91,10 +95,22 @@ def sketch(program: Program, robot: Robot, settings: Iterable[Command], path: Pa
         f"{ORDER_BYTES * len(orders)} bytes of flash memory.",
         *(f"// Not carried over: {_shown(text)}" for text in left_out),
     ]
-    header = "\n".join([*head, *_header(program, robot, joints, list(settings), orders), ""])
+    notes = _notes(ORDER_BYTES * len(orders))
+    too_large = [line for note in notes for line in ("#ifdef __AVR__", f"#error {note}", "#endif")]
+    tables = _header(program, robot, joints, list(settings), orders)
+    header = "\n".join([*head, *too_large, *tables, ""])
     body = _SKETCH.format(head=head[0], header=header_name(path), least=APPROACH_LEAST_MS,
                           settle=SETTLE_MS)  # fmt: skip
-    return Sketch(body, header, tuple(left_out))
+    return Sketch(body, header, tuple(left_out), notes)
+
+
+def _notes(table_bytes: int) -> tuple[str, ...]:
+    if table_bytes <= AVR_TABLE_MAX_BYTES:
+        return ()
+    return (
+        f"the commands take {table_bytes} bytes and an 8-bit board (Uno, Nano, Mega) takes "
+        f"{AVR_TABLE_MAX_BYTES} at most: use a 32-bit board, or a shorter show",
+    )
 
 
 def _check(program: Program, joints: Sequence[Joint], path: Path) -> None:
