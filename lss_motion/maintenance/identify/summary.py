@@ -275,7 +275,11 @@ def _ms(time_s: Measured) -> str:
 
 
 def _of(number: Measured) -> str:
-    return f"{number.value:.0f} ± {number.error:.0f}"
+    """Return a number with its error; that of a number which is no measurement is 0."""
+    if not number.error:
+        return f"{number.value:.0f}"
+    error = f"{number.error:.0f}" if number.error >= 1.0 else f"{number.error:.1g}"
+    return f"{number.value:.0f} ± {error}"
 
 
 def _deg(angle_deg: float) -> str:
