@@ -473,40 +473,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
         "joints": joints,
         "stretched": [asdict(stretch) for stretch in program.stretched],
         "given_up": [asdict(span) for span in program.given_up],
-        "late_keyframes": []
-        if trajectory is None
-        else [
-            {
-                "label": mark.label,
-                "at_s": mark.authored_s,
-                "late_s": late_s,
-                "place": mark.place,
-            }
-            for mark, late_s in late_marks(trajectory)
-        ],
-        "shortened_holds": []
-        if trajectory is None
-        else [
-            {
-                "label": mark.label,
-                "at_s": mark.authored_s,
-                "hold_s": mark.hold_s,
-                "held_s": mark.held_s,
-                "place": mark.place,
-            }
-            for mark in shortened_holds(trajectory)
-        ],
-        "shortened_rests": []
-        if trajectory is None
-        else [
-            {
-                "label": mark.label,
-                "at_s": mark.authored_s,
-                "rest_s": mark.rest_s,
-                "rested_s": mark.rested_s,
-            }
-            for mark in shortened_rests(trajectory)
-        ],
+        **_late_as_json(trajectory),
         "smoothing": [] if trajectory is None else [asdict(own) for own in smoothings(trajectory)],
         "ease_advice": [
             {
@@ -522,6 +489,22 @@ def show_as_json(show: Show) -> dict[str, Any]:
             {"run": call.run, "files": [str(file) for file in call.files], "count": call.count}
             for call in calls_of(program.cues)
         ],
+    }
+
+
+def _late_as_json(trajectory: Trajectory | None) -> dict[str, list[dict[str, Any]]]:
+    """Return the late keyframes, and the holds and rests that became shorter."""
+
+    def named(mark: Mark, **values: float) -> dict[str, Any]:
+        return {"label": mark.label, "at_s": mark.authored_s, "place": mark.place, **values}
+
+    late = [] if trajectory is None else late_marks(trajectory)
+    holds = [] if trajectory is None else shortened_holds(trajectory)
+    rests = [] if trajectory is None else shortened_rests(trajectory)
+    return {
+        "late_keyframes": [named(mark, late_s=late_s) for mark, late_s in late],
+        "shortened_holds": [named(m, hold_s=m.hold_s, held_s=m.held_s) for m in holds],
+        "shortened_rests": [named(m, rest_s=m.rest_s, rested_s=m.rested_s) for m in rests],
     }
 
 
