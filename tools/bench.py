@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 BENCHES = (
     "codec", "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line",
     "late", "identify", "gait", "scaling", "capacity", "play", "sound", "voice", "studio", "pages",
-    "network", "trigger", "sync",
+    "network", "trigger", "sync", "start",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 
