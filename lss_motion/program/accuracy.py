@@ -140,16 +140,35 @@ def _grown_deg(fits: list[_Fit], tolerance_deg: float) -> list[float]:
         LimitArrays(limits),
     )
     made = profiles_from_rest(moves, limits, begins_deg)
+    extremes_s = [times_s for fit in fits for times_s in [_extremes_s(fit)] * phases]
     apart = [
-        _apart_deg(fit, profile.table[0][1:], profile.table[1][1:])
-        for fit, profile in zip(rows, made, strict=True)
+        max(
+            _apart_deg(fit, profile.table[0][1:], profile.table[1][1:]),
+            _apart_deg(fit, times_s, profile.sample(times_s)),
+        )
+        for fit, profile, times_s in zip(rows, made, extremes_s, strict=True)
     ]
     worst = np.array(apart).reshape(len(fits), phases).max(axis=1)
     return [float(one) + _between_deg(fit, phases) for one, fit in zip(worst, fits, strict=True)]
 
 
+def _extremes_s(fit: _Fit) -> FloatArray:
+    """Return when the distance of the profile from the plan is largest within its pieces.
+
+    Another phase of the loop moves such an instant by no more than about a loop, which changes the
+    distance there by next to nothing.
+    """
+    reference = fit.reference
+    count = len(reference.position_deg)
+    profile_deg = fit.fitted.profile.on_grid(reference.start_s, GRID_S, count)
+    steps_deg = np.diff(profile_deg - reference.position_deg)
+    turns = 1 + np.flatnonzero(steps_deg[:-1] * steps_deg[1:] < 0.0)
+    found: FloatArray = reference.start_s + GRID_S * turns
+    return found
+
+
 def _apart_deg(fit: _Fit, times_s: FloatArray, position_deg: FloatArray) -> float:
-    """Return the largest distance of a profile from the plan, at the ends of its pieces."""
+    """Return the largest distance of the positions of a profile from the plan."""
     reference = fit.reference
     grid_s = reference.start_s + GRID_S * np.arange(len(reference.position_deg))
     is_inside = times_s <= grid_s[-1]

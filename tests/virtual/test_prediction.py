@@ -36,18 +36,21 @@ def errors_over_bounds(robot, trajectory, seed=0):
 
 @pytest.mark.skipif(not MOTIONS.is_dir(), reason="the collection of real motions is not here")
 @pytest.mark.parametrize(
-    ("file", "name"),
+    ("file", "name", "seed"),
     [
-        ("throw.json", "throw"),
-        ("webots_op2_hand_high.motion", "webots_op2_hand_high"),
-        ("op3_motion_4095.bin", "see_rightup"),
+        ("throw.json", "throw", 0),
+        ("webots_op2_hand_high.motion", "webots_op2_hand_high", 0),
+        ("op3_motion_4095.bin", "see_rightup", 0),
+        ("op3_motion_4095.bin", "keep_re", 1),
     ],
 )
-def test_a_real_motion_stays_within_what_was_predicted(file, name, tmp_path) -> None:
+def test_a_real_motion_stays_within_what_was_predicted(file, name, seed, tmp_path) -> None:
+    """`keep_re` is furthest off amid its moves, not at their ends."""
     motion = read_motion(MOTIONS / file, motion_name=name)
     robot = robot_for(motion, tmp_path)
     made = imported(motion, robot, motion_map=load_map(map_for(motion, robot, tmp_path)))
-    assert max(errors_over_bounds(robot, plan(made.sequence, robot)).values()) <= 1.0
+    ratios = errors_over_bounds(robot, plan(made.sequence, robot), seed=seed)
+    assert max(ratios.values()) <= 1.0
 
 
 @pytest.mark.parametrize("seed", [1])
