@@ -8,6 +8,8 @@ joint, within bounds.
 the gears, a lag. What no such cause explains, as wrong ramps or a weak motor, makes it less sure,
 and corrections that make the errors larger are dropped.
 
+`Swing` knows in which direction a joint turns, and whether its horn may stand within the play.
+
 `Trace` keeps readings for a picture.
 """
 
@@ -110,7 +112,21 @@ second."""
 WORTH_S: Final = 5.0
 """Seconds over which it is judged whether it does."""
 
+WAY_DEG: Final = 0.5
+"""A profile that has moved by this has a direction, and turns round if it comes back by as much.
+Chosen: half of the play of worn gears, since the horn follows when all of it is taken up."""
+PLAY_LEAST_DEG: Final = 0.05
+"""Half of a play that is estimated smaller than this is none: half a unit of an LSS."""
+SWING_RATIO: Final = 4.0
+"""Nothing is corrected in swings shorter than this times the estimated half of the play, all in
+those of twice as much. A horn stands within its play then, wherever the last larger swing left it:
+its errors are no load, and show no more of the play than half of the swing, so that twice the
+estimate is assumed. Measured: in swings of 1 to 4 deg with a play of 0.5 to 2 deg corrections made
+RMS up to 1.13 times as large."""
+
 SIZE: Final = len(USUAL)
+PLAY: Final = 3
+"""Index of the play in these."""
 
 
 @dataclass(slots=True)
@@ -161,7 +177,8 @@ class HornEstimator:
     def load_deg(self, angle_deg: float, way: float) -> float:
         """Return by how much load and play keep the horn below its profile at an angle.
 
-        `way` is the direction in which it turned last: 1, -1, or 0 if that is not known.
+        `way` is the direction in which it turned last: 1, -1, or 0 if that is not known; between
+        them it is a part of the play.
         """
         load_deg: float = sum(map(operator.mul, self._mean, _basis(angle_deg, way, 0.0)))
         return load_deg
@@ -176,6 +193,11 @@ class HornEstimator:
         unsure_deg = math.sqrt(max(sum(map(operator.mul, spread, basis)), 0.0))
         clear = min(max(0.0, abs(load_deg) / (SMALL_DEG + unsure_deg) - 1.0), 1.0)
         return load_deg * clear
+
+    @property
+    def half_play_deg(self) -> float:
+        """Half of the play of the gears, as far as it is known."""
+        return abs(self._mean[PLAY])
 
     @property
     def lag_s(self) -> float:
@@ -373,6 +395,50 @@ def _basis(angle_deg: float, way: float, speed_deg_s: float) -> tuple[float, ...
     return 1.0, math.sin(angle), math.cos(angle), way, speed_deg_s
 
 
+@dataclass(slots=True)
+class Swing:
+    """The swings of one profile, as its readings show them. Angles are servo degrees."""
+
+    way: float = 0.0
+    """Direction in which the profile moved last: 1, -1, or 0 at first."""
+    _far_deg: float = 0.0
+    """How far it has come in that direction."""
+    _turn_deg: float = 0.0
+    """Where that began."""
+    _before_deg: float = math.inf
+    """How far it moved in the direction before."""
+
+    def take(self, profile_deg: float) -> None:
+        """Note where the profile is."""
+        ahead_deg = profile_deg - self._far_deg
+        if ahead_deg * self.way > 0.0:
+            self._far_deg = profile_deg
+        elif abs(ahead_deg) > WAY_DEG:
+            if self.way:
+                self._before_deg = abs(self._far_deg - self._turn_deg)
+            self._turn_deg, self._far_deg = self._far_deg, profile_deg
+            self.way = math.copysign(1.0, ahead_deg)
+
+    def way_of(self, way_deg: float, begin_deg: float, end_deg: float, target_deg: float) -> float:
+        """Return the direction of a move that is `way_deg` long, and less where it is turned back.
+
+        The plan goes from `begin_deg` to `end_deg` while it lasts. A move that does not come to its
+        target takes up no more of the play than the share of its way that the plan goes.
+        """
+        if abs(way_deg) <= WAY_DEG:
+            return self.way
+        whole_deg = target_deg - begin_deg
+        share = (end_deg - begin_deg) / whole_deg if abs(whole_deg) > WAY_DEG else 1.0
+        return math.copysign(min(max(share, 0.0), 1.0), way_deg)
+
+    def share(self, half_play_deg: float) -> float:
+        """Return what share of a correction may be used: 0 if the horn may be within its play."""
+        if half_play_deg < PLAY_LEAST_DEG:
+            return 1.0
+        swing_deg = max(self._before_deg, abs(self._far_deg - self._turn_deg))
+        return min(max(swing_deg / (SWING_RATIO * half_play_deg) - 1.0, 0.0), 1.0)
+
+
 GAP_S: Final = 0.1
 """Time that the first reading stands for."""
 
@@ -440,10 +506,13 @@ class DisturbanceEstimator:
         is_on = change_deg * before_deg > 0.0
         self.moved_deg = min(abs(change_deg), abs(before_deg)) if is_on else 0.0
 
-    def aim(self, target_deg: float, way: float, most_deg: float) -> None:
-        """Move the correction towards what the load does at `target_deg`, by `most_deg` at most."""
+    def aim(self, target_deg: float, way: float, most_deg: float, share: float = 1.0) -> None:
+        """Move the correction towards a share of what the load does at `target_deg`.
+
+        It moves by `most_deg` at most; see `HornEstimator.load_deg` for `way`.
+        """
         most_deg = min(most_deg, self.step_max_deg)
-        correction_deg = self.horn.correction_deg(target_deg, way)
+        correction_deg = share * self.horn.correction_deg(target_deg, way)
         change_deg = self.horn.worth_ratio * correction_deg - self.offset_deg
         self.correct(self.offset_deg + min(max(change_deg, -most_deg), most_deg))
 

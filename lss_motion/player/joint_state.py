@@ -19,6 +19,7 @@ from lss_motion.player.estimators import (
     OFFSET_MAX_DEG,
     OFFSET_RATE_DEG_S,
     DisturbanceEstimator,
+    Swing,
     Trace,
 )
 from lss_motion.player.lost_moves import LostMoveDetector
@@ -36,7 +37,7 @@ from lss_motion.robot.profile import Profile, profile_lead_s
 from lss_motion.units import MS_PER_S, NS_PER_US, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.player.show_clock import ShowClock
@@ -60,8 +61,6 @@ lag that is corrected, and a ramp between the samples."""
 STILL_S: Final = 0.25
 STILL_DEG: Final = 0.05
 """A joint rests when its profile has moved by less than this for so long: half a unit of an LSS."""
-WAY_DEG: Final = 0.3
-"""A profile that has moved by this has a direction."""
 STANDING_DEG_S: Final = 20.0
 STANDING_LEAST_S: Final = 0.1
 """Speed and shortest T of a correction at rest. Chosen: gentle, and done before the next readings
@@ -137,10 +136,7 @@ class JointState:
     standing: StandingCorrector = field(default_factory=StandingCorrector)
     _is_correcting: bool = False
     _is_approach: bool = False
-    _way: float = 0.0
-    """Direction in which the profile moved last: 1, -1, or 0 at first."""
-    _before_deg: float = 0.0
-    """Profile when that was found."""
+    swing: Swing = field(default_factory=Swing)
     trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
     """False while the servo's settings are unknown, or it is left out; no moves are sent."""
@@ -164,7 +160,7 @@ class JointState:
         """Return where the horn should be: the profile, late by its lag, less its load."""
         horn = self.disturbance.horn
         position_deg, _ = self.profile.at(s_from_ns(now_ns) - self.lead_s - horn.early_s)
-        return position_deg - horn.load_deg(position_deg, self._way)
+        return position_deg - horn.load_deg(position_deg, self.swing.way)
 
     def is_at_rest(self, now_ns: int) -> bool:
         """Return whether the servo should have come to rest; true after the longest T in any case.
@@ -475,8 +471,8 @@ class JointState:
         horn, before_deg = self.disturbance.horn, self.disturbance.measured_deg
         course_s = read_s - self.lead_s - horn.early_s
         expected_deg, speed_deg_s = self.profile.at(course_s)
-        self._note_way(expected_deg)
-        free_deg = measured_deg + horn.load_deg(expected_deg, self._way)
+        self.swing.take(expected_deg)
+        free_deg = measured_deg + horn.load_deg(expected_deg, self.swing.way)
         other = self.lost_moves.judge(course_s, expected_deg, free_deg, speed_deg_s)
         elapsed_s = self.disturbance.take(
             measured_deg, read_s, expected_deg=expected_deg, planned_deg=planned_deg
@@ -500,13 +496,13 @@ class JointState:
         recent_deg_s = self._recent_deg_s(course_s)
         if not (self.standing.is_pushed or self._is_approach):
             error_deg = self.disturbance.error_deg + self.disturbance.offset_deg
-            horn.judge_load(error_deg, horn.correction_deg(lagged_deg, self._way), elapsed_s)
+            horn.judge_load(error_deg, horn.correction_deg(lagged_deg, self.swing.way), elapsed_s)
             if before_deg is not None:  # It may still be on its way, whatever its profile does.
                 moved_deg = self.disturbance.moved_deg - 3.0 * math.sqrt(horn.noise_deg2)
                 recent_deg_s = max(recent_deg_s, moved_deg / elapsed_s)
             course = plain_deg, lagged_deg, speed_deg_s, recent_deg_s
-            horn.take(measured_deg, course, self._way, elapsed_s)
-        self.disturbance.note_estimate(lagged_deg, self._way)
+            horn.take(measured_deg, course, self.swing.way, elapsed_s)
+        self.disturbance.note_estimate(lagged_deg, self.swing.way)
         if self.setpoints is None or abs(plain_deg_s) < REST_DEG_S:
             self.early_s = horn.early_s
         if self._is_settled(read_s) and before_deg is not None:
@@ -514,13 +510,7 @@ class JointState:
             noise_deg = math.sqrt(horn.noise_deg2)
             self.standing.take(self.disturbance.error_deg, read_s, noise_deg)
         if self.setpoints is not None:
-            self.disturbance.aim(lagged_deg, self._way, OFFSET_RATE_DEG_S * elapsed_s)
-
-    def _note_way(self, expected_deg: float) -> None:
-        """Note the direction in which the profile moves."""
-        if abs(expected_deg - self._before_deg) > WAY_DEG:
-            self._way = math.copysign(1.0, expected_deg - self._before_deg)
-            self._before_deg = expected_deg
+            self._correct(lagged_deg, self.swing.way, elapsed_s)
 
     def _recent_deg_s(self, course_s: float) -> float:
         """Return the largest speed of the profile of late, 0 if it rests."""
@@ -536,12 +526,21 @@ class JointState:
         then_deg, _ = self.profile.at(course_s - STILL_S)
         return abs(now_deg - then_deg) < STILL_DEG and abs(speed_deg_s) < STILL_DEG / STILL_S
 
-    def aim(self, duration_s: float, now_ns: int) -> None:
+    def aim(
+        self, duration_s: float, planned_deg: Callable[[JointState, int], float], now_ns: int
+    ) -> None:
         """Set the correction for the move under way, which has `duration_s` to travel."""
         if self.setpoints is None:
             way_deg = self.target_deg + self.disturbance.offset_deg - self.place(now_ns)[0]
-            way = math.copysign(1.0, way_deg) if abs(way_deg) > WAY_DEG else self._way
-            self.disturbance.aim(self.target_deg, way, OFFSET_RATE_DEG_S * duration_s)
+            begin_deg = planned_deg(self, now_ns)
+            end_deg = planned_deg(self, now_ns + ns_from_s(duration_s))
+            way = self.swing.way_of(way_deg, begin_deg, end_deg, self.target_deg)
+            self._correct(self.target_deg, way, duration_s)
+
+    def _correct(self, target_deg: float, way: float, duration_s: float) -> None:
+        """Move the correction towards what is known of load and play, as far as that is sure."""
+        share = self.swing.share(self.disturbance.horn.half_play_deg)
+        self.disturbance.aim(target_deg, way, OFFSET_RATE_DEG_S * duration_s, share)
 
     @property
     def finding(self) -> str:

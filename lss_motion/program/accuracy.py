@@ -163,8 +163,7 @@ def _extremes_s(fit: _Fit) -> FloatArray:
     profile_deg = fit.fitted.profile.on_grid(reference.start_s, GRID_S, count)
     steps_deg = np.diff(profile_deg - reference.position_deg)
     turns = 1 + np.flatnonzero(steps_deg[:-1] * steps_deg[1:] < 0.0)
-    found: FloatArray = reference.start_s + GRID_S * turns
-    return found
+    return reference.start_s + GRID_S * turns.astype(np.float64)
 
 
 def _apart_deg(fit: _Fit, times_s: FloatArray, position_deg: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 What a horn lacks: load, play and lag told apart, and none of it learnt from what explains nothing.
 What is corrected at rest, and what is not.
+Which way a joint turns, and whether its horn may stand within the play of its gears.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from lss_motion.player.estimators import (
     OFFSET_MAX_DEG,
     DisturbanceEstimator,
     HornEstimator,
+    Swing,
 )
 from lss_motion.player.standing import (
     ATTEMPTS_MAX,
@@ -403,3 +405,61 @@ def test_a_horn_on_its_way_is_neither_pushed_nor_corrected():
     rest.horn_deg = lambda offset_deg: -3.0 * math.exp(-2.0 * rest.now_s)
     rest.read(9)
     assert (rest.sent, rest.corrector.is_pushed) == ([], False)
+
+
+# ---- which way it turns, and whether within its play
+
+
+def swing_over(*profile_deg):
+    swing = Swing()
+    for one_deg in profile_deg:
+        swing.take(one_deg)
+    return swing
+
+
+@pytest.mark.parametrize(
+    ("profile_deg", "way"),
+    [
+        ((), 0.0),
+        ((0.4,), 0.0),
+        ((0.6,), 1.0),
+        ((2.0, 1.6), 1.0),
+        ((2.0, 1.4), -1.0),
+        ((0.6, 0.9, 1.2, 0.8), 1.0),
+        ((0.6, 0.9, 1.2, 0.6), -1.0),
+    ],
+)
+def test_a_profile_turns_round_where_it_comes_back_by_half_a_degree(profile_deg, way) -> None:
+    assert swing_over(*profile_deg).way == way
+
+
+@pytest.mark.parametrize(
+    ("profile_deg", "half_play_deg", "share"),
+    [
+        ((20.0, 22.0, 20.0, 22.0), 0.0, 1.0),
+        ((20.0, 22.0, 20.0, 22.0), 0.5, 0.0),
+        ((20.0, 23.0, 20.0, 23.0), 0.5, 0.5),
+        ((20.0, 24.0, 20.0, 24.0), 0.5, 1.0),
+        ((20.0, 22.0, 20.0, 30.0), 0.5, 1.0),
+        ((20.0, 30.0, 29.0), 0.5, 1.0),
+        ((20.0, 30.0, 29.0, 30.0, 29.0), 0.5, 0.0),
+    ],
+)
+def test_little_is_corrected_in_swings_of_about_the_play(profile_deg, half_play_deg, share) -> None:
+    """The swing before the one under way counts, too: a reversal that just began is no swing."""
+    assert swing_over(*profile_deg).share(half_play_deg) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("end_deg", "way"), [(10.0, 1.0), (12.0, 1.0), (5.0, 0.5), (0.0, 0.0), (-3.0, 0.0)]
+)
+def test_a_move_that_is_turned_back_takes_up_a_part_of_the_play(end_deg, way) -> None:
+    found = Swing().way_of(10.2, begin_deg=0.0, end_deg=end_deg, target_deg=10.0)
+    assert found == pytest.approx(way)
+    back = Swing().way_of(-10.2, begin_deg=10.0, end_deg=10.0 - end_deg, target_deg=0.0)
+    assert back == pytest.approx(-way)
+
+
+def test_a_move_of_next_to_nothing_keeps_the_way_before() -> None:
+    swing = swing_over(5.0, 2.0)
+    assert swing.way_of(0.3, begin_deg=2.0, end_deg=2.3, target_deg=2.3) == -1.0
