@@ -177,8 +177,7 @@ class HornEstimator:
     def load_deg(self, angle_deg: float, way: float) -> float:
         """Return by how much load and play keep the horn below its profile at an angle.
 
-        `way` is the direction in which it turned last: 1, -1, or 0 if that is not known; between
-        them it is a part of the play.
+        `way` is the direction in which it turned last: 1, -1, or 0 if that is not known.
         """
         load_deg: float = sum(map(operator.mul, self._mean, _basis(angle_deg, way, 0.0)))
         return load_deg
@@ -419,17 +418,9 @@ class Swing:
             self._turn_deg, self._far_deg = self._far_deg, profile_deg
             self.way = math.copysign(1.0, ahead_deg)
 
-    def way_of(self, way_deg: float, begin_deg: float, end_deg: float, target_deg: float) -> float:
-        """Return the direction of a move that is `way_deg` long, and less where it is turned back.
-
-        The plan goes from `begin_deg` to `end_deg` while it lasts. A move that does not come to its
-        target takes up no more of the play than the share of its way that the plan goes.
-        """
-        if abs(way_deg) <= WAY_DEG:
-            return self.way
-        whole_deg = target_deg - begin_deg
-        share = (end_deg - begin_deg) / whole_deg if abs(whole_deg) > WAY_DEG else 1.0
-        return math.copysign(min(max(share, 0.0), 1.0), way_deg)
+    def way_of(self, way_deg: float) -> float:
+        """Return the direction of a move that is `way_deg` long."""
+        return math.copysign(1.0, way_deg) if abs(way_deg) > WAY_DEG else self.way
 
     def share(self, half_play_deg: float) -> float:
         """Return what share of a correction may be used: 0 if the horn may be within its play."""

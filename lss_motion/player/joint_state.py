@@ -37,7 +37,7 @@ from lss_motion.robot.profile import Profile, profile_lead_s
 from lss_motion.units import MS_PER_S, NS_PER_US, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.player.show_clock import ShowClock
@@ -526,16 +526,11 @@ class JointState:
         then_deg, _ = self.profile.at(course_s - STILL_S)
         return abs(now_deg - then_deg) < STILL_DEG and abs(speed_deg_s) < STILL_DEG / STILL_S
 
-    def aim(
-        self, duration_s: float, planned_deg: Callable[[JointState, int], float], now_ns: int
-    ) -> None:
+    def aim(self, duration_s: float, now_ns: int) -> None:
         """Set the correction for the move under way, which has `duration_s` to travel."""
         if self.setpoints is None:
             way_deg = self.target_deg + self.disturbance.offset_deg - self.place(now_ns)[0]
-            begin_deg = planned_deg(self, now_ns)
-            end_deg = planned_deg(self, now_ns + ns_from_s(duration_s))
-            way = self.swing.way_of(way_deg, begin_deg, end_deg, self.target_deg)
-            self._correct(self.target_deg, way, duration_s)
+            self._correct(self.target_deg, self.swing.way_of(way_deg), duration_s)
 
     def _correct(self, target_deg: float, way: float, duration_s: float) -> None:
         """Move the correction towards what is known of load and play, as far as that is sure."""

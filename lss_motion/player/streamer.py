@@ -513,7 +513,7 @@ class Streamer:
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
         left_s = self._left_s(state, now_ns)
-        state.aim(max(left_s, 0.0), self.planned_deg, now_ns)
+        state.aim(max(left_s, 0.0), now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
             left_s = on_time_s(state, self._lines[move.bus], self._plan_s, now_ns)
         if state.guide_ns is not None:

@@ -450,16 +450,11 @@ def test_little_is_corrected_in_swings_of_about_the_play(profile_deg, half_play_
     assert swing_over(*profile_deg).share(half_play_deg) == pytest.approx(share)
 
 
-@pytest.mark.parametrize(
-    ("end_deg", "way"), [(10.0, 1.0), (12.0, 1.0), (5.0, 0.5), (0.0, 0.0), (-3.0, 0.0)]
-)
-def test_a_move_that_is_turned_back_takes_up_a_part_of_the_play(end_deg, way) -> None:
-    found = Swing().way_of(10.2, begin_deg=0.0, end_deg=end_deg, target_deg=10.0)
-    assert found == pytest.approx(way)
-    back = Swing().way_of(-10.2, begin_deg=10.0, end_deg=10.0 - end_deg, target_deg=0.0)
-    assert back == pytest.approx(-way)
+def test_a_move_has_the_direction_of_its_way() -> None:
+    assert swing_over(5.0, 2.0).way_of(10.2) == 1.0
+    assert Swing().way_of(-10.2) == -1.0
 
 
 def test_a_move_of_next_to_nothing_keeps_the_way_before() -> None:
     swing = swing_over(5.0, 2.0)
-    assert swing.way_of(0.3, begin_deg=2.0, end_deg=2.3, target_deg=2.3) == -1.0
+    assert swing.way_of(0.3) == -1.0
