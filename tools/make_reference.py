@@ -32,7 +32,7 @@ HEAD = """\
 Every key of the files and every option of the commands. Made from the code by
 `tools/run tools/make_reference.py`; the guides are in
 [sequences/README.md](../sequences/README.md). `lss-motion reference` prints what the servos
-themselves understand; `lss-motion sim --help` says what a faults file holds.
+themselves understand; what a faults file and `--sim` hold stands under [sim](#lss-motion-sim).
 """
 
 PLAIN = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true, false"}
@@ -178,6 +178,8 @@ def command_section(parser: argparse.ArgumentParser) -> Iterator[str]:
     rows = [(words_of(action), action.help or "") for action in actions]
     if rows:
         yield table(("argument", "meaning"), rows)
+    if parser.epilog:
+        yield description_text(parser.epilog)
 
 
 def description_text(text: str) -> str:

@@ -643,7 +643,7 @@ def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]
         least_ns, port = tracker.shortest_latency_ns, buses[name].port
         if least_ns is None or least_ns < LATENCY_BAD_NS:
             continue
-        device = port.rpartition("/")[2]
+        device = port.rpartition("/")[2] or "ttyUSB0"  # A simulated port has no name.
         warnings.append(
             f"port {port}: answers come {least_ns / NS_PER_MS:.0f} ms late, so there are fewer "
             f"readings: the USB adapter holds them back. Linux: `echo 1 | sudo tee "

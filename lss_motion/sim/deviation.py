@@ -120,6 +120,12 @@ class Word(NamedTuple):
     most: float
     meaning: str
 
+    @property
+    def bounds(self) -> str:
+        """Return what is allowed, as it is typed: `-0.02s to 0.5s`."""
+        unit = "" if self.unit == "ratio" else self.unit
+        return f"{self.least:g}{unit} to {self.most:g}{unit}"
+
 
 WORDS: Final[dict[str, Word]] = {
     "lag": Word("lag_s", "s", -0.02, 0.5, "added to the horn's lag of 20 ms, such as +30ms"),
@@ -138,10 +144,11 @@ WORDS: Final[dict[str, Word]] = {
     "lost": Word("lost_ratio", "ratio", 0.0, 1.0, "share of commands that reach no servo"),
     "corrupt": Word("corrupt_ratio", "ratio", 0.0, 1.0, "share of replies with a wrong byte"),
     "push": Word("push_deg", "deg", -30.0, 30.0, "a hand pushes all horns so far"),
-    "push_at": Word("push_at_s", "s", 0.0, 1e6, "when it pushes, from power-up (5s)"),
-    "push_for": Word("push_for_s", "s", 0.01, 1e6, "how long (500ms)"),
+    "push_at": Word("push_at_s", "s", 0.0, 86_400.0, "when it pushes, from power-up (5s)"),
+    "push_for": Word("push_for_s", "s", 0.01, 86_400.0, "how long (500ms)"),
 }
 
+_KEYS: Final = f"keys are {', '.join(WORDS)}"
 _CHOICES: Final = {"retarget": ("keep_speed", "from_rest"), "t_law": ("cruise", "exact")}
 _SCALES: Final = {
     "s": {"s": 1.0, "ms": 1e-3},
@@ -155,6 +162,8 @@ def read_deviation(text: str, robot: Robot) -> Deviation:
     """Return the deviation that a text of `key=value` or a file gives; `InputError` if neither."""
     if "=" in text:
         return deviation_from_text(text)
+    if not text or not Path(text).exists():
+        raise InputError(f"{text!r:.60} is neither key=value nor an existing file; {_KEYS}")
     return _from_file(Path(text), robot)
 
 
@@ -164,7 +173,7 @@ def deviation_from_text(text: str) -> Deviation:
     for part in filter(None, map(str.strip, text.split(","))):
         key, equals, value = part.partition("=")
         if not equals:
-            raise InputError(f"{part!r} is not key=value; keys are {', '.join(WORDS)}")
+            raise InputError(f"{part!r:.60} is not key=value; {_KEYS}")
         if key.strip() in values:
             raise InputError(f"{key.strip()} is given twice")
         values[key.strip()] = value.strip()
@@ -206,7 +215,7 @@ def _value(key: str, text: str) -> float | str:
         raise ValueError(f"{key} is {text!r:.60}: it needs a number with {units}")
     number = float(found[1]) * scales.get(found[2], 1.0)
     if not word.least <= number <= word.most:
-        raise ValueError(f"{key} is {text}: allowed is {word.least:g} to {word.most:g} {word.unit}")
+        raise ValueError(f"{key} is {text}: allowed is {word.bounds}")
     return number
 
 
@@ -216,7 +225,7 @@ def _from_file(path: Path, robot: Robot) -> Deviation:
     source = read_yaml(path)
     content, problems = source.value, [*source.problems]
     if not content:
-        problems.append(Problem((), f"holds no keys; keys are {', '.join(WORDS)}"))
+        problems.append(Problem((), f"holds no keys; {_KEYS}"))
     own = content.get("joints", {})
     shared = _Read({key: value for key, value in content.items() if key != "joints"})
     problems += [Problem((key,), text) for key, text in shared.problems]
@@ -225,15 +234,17 @@ def _from_file(path: Path, robot: Robot) -> Deviation:
         place: Location = ("joints", name)
         if name not in robot.joints:
             known = known_names(name, robot.joints)
-            problems.append(Problem(place, f"robot {robot.name!r} has no such joint; {known}"))
+            problems.append(
+                Problem(place, f"robot {robot.name!r} has no joint {name!r:.60}; {known}")
+            )
         elif not isinstance(values, dict):
-            problems.append(Problem(place, f"needs a mapping of {', '.join(OWN)}"))
+            problems.append(Problem(place, f"{name!r:.60} needs a mapping of {', '.join(OWN)}"))
         else:
             read = _Read(values, OWN)
             problems += [Problem((*place, key), text) for key, text in read.problems]
             joints[name] = _over(shared.deviation, read.deviation, values)
     if not isinstance(own, dict):
-        problems.append(Problem(("joints",), "needs a mapping by joint"))
+        problems.append(Problem(("joints",), "'joints' needs a mapping by joint"))
     if problems:
         raise source.error(problems)
     return replace(shared.deviation, joints=joints)
@@ -247,7 +258,10 @@ def _over(shared: Deviation, own: Deviation, given: Mapping[str, object]) -> Dev
 
 def words_text() -> str:
     """Return the table of keys, a line each."""
-    return "\n".join(f"  {key:10} {word.meaning}" for key, word in WORDS.items())
+    return "\n".join(
+        f"  {key:10} {word.meaning}{f'; {word.bounds}' if word.unit else ''}"
+        for key, word in WORDS.items()
+    )
 
 
 def deviation_text(deviation: Deviation) -> str:

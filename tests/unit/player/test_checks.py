@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,6 +11,7 @@ from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player import checks, handshake
 from lss_motion.protocol.constants import Status
 from lss_motion.protocol.framing import encode
+from lss_motion.robot.model import Bus
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.robot.servo_models import SERVO_MODELS
 
@@ -264,3 +266,13 @@ def test_a_joint_half_a_turn_outside_of_its_range_is_not_driven_back(kit, wire, 
         return
     with pytest.raises(PlaybackError, match="half a turn or more outside of its range"):
         checks.check_range([one], answers(QD=wire))
+
+
+@pytest.mark.parametrize(("port", "device"), [("/dev/ttyUSB3", "ttyUSB3"), ("sim://", "ttyUSB0")])
+def test_an_adapter_that_holds_replies_back_is_told_with_a_path_that_can_be_typed(port, device):
+    slow = SimpleNamespace(shortest_latency_ns=5_000_000)
+    [warning] = checks.check_latency(
+        {"main": Bus(name="main", port=port, baud_bps=115_200, firmware=370)}, {"main": slow}
+    )
+    assert f"port {port}: answers come 5 ms late" in warning
+    assert f"/sys/bus/usb-serial/devices/{device}/latency_timer`" in warning

@@ -75,7 +75,9 @@ def test_a_text_is_read_as_it_is_written():
     [
         ("lagg=3ms", "'lagg' is no key here; did you mean 'lag'?"),
         ("lag=30", "lag is '30': it needs a number with s or ms"),
-        ("motor=250%", "motor is 250%: allowed is 0.01 to 1 ratio"),
+        ("motor=250%", "motor is 250%: allowed is 0.01 to 1"),
+        ("lag=-30ms", "lag is -30ms: allowed is -0.02s to 0.5s"),
+        ("droop=nan", "droop is 'nan': it needs a number with deg"),
         ("t_law=fast", "t_law is 'fast'"),
         ("lag=1ms,lag=2ms", "lag is given twice"),
         ("lag=1ms,droop", "'droop' is not key=value"),
@@ -85,6 +87,24 @@ def test_a_wrong_text_says_what_is_allowed(text, said):
     with pytest.raises(InputError) as error:
         deviation_from_text(text)
     assert said in str(error.value)
+    assert "ratio" not in str(error.value)
+
+
+@pytest.mark.parametrize("key", [key for key, word in WORDS.items() if word.unit])
+def test_the_bounds_of_a_key_are_written_as_they_are_typed(key):
+    field = WORDS[key].field
+    least, most = WORDS[key].bounds.split(" to ")
+    for text, number in ((least, WORDS[key].least), (most, WORDS[key].most)):
+        assert getattr(deviation_from_text(f"{key}={text}"), field) == number
+
+
+@pytest.mark.parametrize("text", ["", "lag", "lag:+30ms", "no.yaml"])
+def test_what_is_neither_a_key_nor_a_file_is_told_the_keys(arm, text):
+    with pytest.raises(InputError) as error:
+        read_deviation(text, arm)
+    assert f"{text!r} is neither key=value nor an existing file; keys are lag, dead," in str(
+        error.value
+    )
 
 
 def test_a_file_has_the_same_keys_and_single_joints(arm, tmp_path):
@@ -102,7 +122,7 @@ def test_a_file_has_the_same_keys_and_single_joints(arm, tmp_path):
     assert [f"worse.yaml:{line}:" in text for line, text in zip((1, 3, 4), said, strict=True)]
     assert "lag is '30'" in said[0]
     assert "'lag' is no key here" in said[1]
-    assert "no such joint" in said[2]
+    assert "has no joint 'knee'" in said[2]
 
 
 def test_every_key_sets_a_field():
