@@ -412,6 +412,7 @@ def advice_of(show: Show) -> tuple[EaseAdvice, ...]:
 def advice_lines(show: Show, *, is_whole: bool) -> list[str]:
     """Return the lines of `advice_of`; `is_whole`: with all keyframes, not only the first ten."""
     from lss_motion.files.source import counted
+    from lss_motion.trajectory.eases import OTHER
     from lss_motion.trajectory.keys import named
 
     lines = []
@@ -420,10 +421,13 @@ def advice_lines(show: Show, *, is_whole: bool) -> list[str]:
         shown = frames if is_whole else frames[:WORST_COUNT]
         names = ", ".join(map(named, shown))
         rest = f" and {len(frames) - len(shown)} more (--all)" if len(frames) > len(shown) else ""
+        place = f"{counted(frames, 'keyframe')} ({names}{rest})"
+        late, would_be = advice.late, advice.would_be
         lines.append(
-            f"spline costs time in {advice.name!r}: its keyframes are {advice.late_s:.3f} s late "
-            f"in all; with ease: smooth at {counted(frames, 'keyframe')} ({names}{rest}) it would "
-            f"be {advice.would_be_s:.3f} s"
+            f"{OTHER[advice.ease]} costs time in {advice.name!r}: its keyframes are "
+            f"{late.total_s:.3f} s late in all, at most {late.most_s:.3f} s; with ease: "
+            f"{advice.ease} at {'every keyframe' if advice.is_whole else place} it would be "
+            f"{would_be.total_s:.3f} s, at most {would_be.most_s:.3f} s"
         )
     return lines
 
@@ -478,9 +482,10 @@ def show_as_json(show: Show) -> dict[str, Any]:
         "ease_advice": [
             {
                 "name": advice.name,
-                "smooth_at_s": [frame.at_s for frame in advice.keyframes],
-                "late_s": advice.late_s,
-                "would_be_s": advice.would_be_s,
+                "ease": advice.ease,
+                "at_s": [frame.at_s for frame in advice.keyframes],
+                "late_s": advice.late.total_s,
+                "would_be_s": advice.would_be.total_s,
             }
             for advice in advice_of(show)
         ],

@@ -27,7 +27,7 @@
 | `plan_cache.py` | plans on disk, found by content, not trusted         | planner, layers         |
 | `recheck.py`    | closed-form check of a stored plan against limits    | plan_cache              |
 | `explain.py`    | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
-| `eases.py`      | where `spline` makes a motion later than `smooth`    | cli                     |
+| `eases.py`      | where `spline` or `smooth` makes a motion later      | cli                     |
 | `plot.py`       | a picture of a trajectory                            | cli                     |
 
 toppra takes a second to import. It is imported only where a motion must be slowed or made as fast

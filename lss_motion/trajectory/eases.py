@@ -1,14 +1,15 @@
-"""Where `spline` costs time: keyframes at which another ease would make a motion less late.
+"""Where `spline` or `smooth` costs time: keyframes at which the other would be less late.
 
 `spline` swings into and out of its keys, which asks more of a servo than `smooth` in one place and
-less in another. The plan keeps the ease that the author gave; `ease_advice` plans again with
-`smooth` where it asks less, and returns what that would gain.
+less in another. `smooth` rests at every turn of a joint, which in a recording of several joints
+comes often. The plan keeps the ease that the author gave; `ease_advice` plans again with the other
+where it asks less, and returns what that would gain.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -38,15 +39,33 @@ GAIN_MIN_RATIO: Final = 0.1
 """Less gain is no advice. Chosen: the curve changes for it."""
 
 
+OTHER: Final = {
+    Interpolation.SPLINE: Interpolation.SMOOTH,
+    Interpolation.SMOOTH: Interpolation.SPLINE,
+}
+"""What may keep time better than an ease: both pass through keys without a rest."""
+
+
+class Lateness(NamedTuple):
+    """How late the keyframes of a track are."""
+
+    total_s: float
+    most_s: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EaseAdvice:
-    """What `ease: smooth` at some keyframes would do for the sum of the lateness of all."""
+    """What another ease at some keyframes would do for the sum of the lateness of all."""
 
     name: str
     """Name of the sequence or track."""
+    ease: Interpolation
+    """What the keyframes should have instead of `OTHER[ease]`."""
     keyframes: tuple[Keyframe, ...]
-    late_s: float
-    would_be_s: float
+    is_whole: bool
+    """They are all of the track but its first, to which nothing travels."""
+    late: Lateness
+    would_be: Lateness
 
 
 def ease_advice(sequence: Sequence, robot: Robot) -> tuple[EaseAdvice, ...]:
@@ -67,47 +86,70 @@ def _tracks_of(sequence: Sequence) -> Iterator[Sequence]:
 
 
 def _advice(track: Sequence, robot: Robot) -> EaseAdvice | None:
-    splines = [
-        index
-        for index, frame in enumerate(track.keyframes)
-        if frame.ease is Interpolation.SPLINE and index > 0
-    ]
-    if not splines or track.timing is not Timing.AUTHORED or not is_timed(track):
+    if track.timing is not Timing.AUTHORED or not is_timed(track):
         return None
-    late_s = _late_s(track, robot)
-    if late_s is None or late_s < LATE_MIN_S:
+    if not any(frame.ease in OTHER for frame in track.keyframes[1:]):
+        return None
+    late = _lateness(track, robot)
+    if late is None or late.total_s < LATE_MIN_S:
         return None
     used = _used(track, laid_out(track, robot))
-    smooth = _smoothed(track, splines)
-    used_smooth = _used(smooth, laid_out(smooth, robot))
-    better = [index for index in splines if used[index] > max(1.0, used_smooth[index])]
-    best: tuple[float, list[int]] = ((1.0 - GAIN_MIN_RATIO) * late_s, [])
-    for chosen in (better, splines):
-        would_be_s = _late_s(_smoothed(track, chosen), robot) if chosen else None
-        if would_be_s is not None and would_be_s < best[0]:
-            best = (would_be_s, chosen)
-    if not best[1]:
-        return None
-    frames = tuple(track.keyframes[index] for index in best[1])
-    return EaseAdvice(name=track.name, keyframes=frames, late_s=late_s, would_be_s=best[0])
+    found: list[EaseAdvice] = []
+    for given, ease in OTHER.items():
+        for chosen in _worth_trying(track, robot, given, used):
+            would_be = _lateness(_changed(track, chosen, ease), robot)
+            if would_be is None or would_be.total_s >= (1.0 - GAIN_MIN_RATIO) * late.total_s:
+                continue
+            advice = EaseAdvice(
+                name=track.name,
+                ease=ease,
+                keyframes=tuple(track.keyframes[index] for index in chosen),
+                is_whole=len(chosen) == len(track.keyframes) - 1,
+                late=late,
+                would_be=would_be,
+            )
+            found.append(advice)
+    return min(found, key=lambda advice: advice.would_be.total_s, default=None)
 
 
-def _smoothed(track: Sequence, chosen: list[int]) -> Sequence:
-    """Return the track with `smooth` as the ease of the chosen keyframes."""
-    frames = [
-        replace(frame, ease=Interpolation.SMOOTH) if index in chosen else frame
-        for index, frame in enumerate(track.keyframes)
-    ]
+def _worth_trying(
+    track: Sequence, robot: Robot, given: Interpolation, used: FloatArray
+) -> Iterator[list[int]]:
+    """Yield the keyframes with an ease at which the other asks less, and all with that ease.
+
+    A spline is curved by its neighbours: single keys do not get what was computed for all, so only
+    all of them are tried.
+    """
+    frames = enumerate(track.keyframes)
+    having = [index for index, frame in frames if frame.ease is given and index > 0]
+    changed = _changed(track, having, OTHER[given])
+    try:
+        used_changed = _used(changed, laid_out(changed, robot))
+    except InputError:  # A spline swings out of the range of a joint.
+        return
+    better = [index for index in having if used[index] > max(1.0, used_changed[index])]
+    if given is Interpolation.SPLINE:
+        yield from (chosen for chosen in (better, having) if chosen)
+    elif better:
+        yield having
+
+
+def _changed(track: Sequence, chosen: list[int], ease: Interpolation) -> Sequence:
+    """Return the track with another ease at the chosen keyframes."""
+    frames = list(track.keyframes)
+    for index in chosen:
+        frames[index] = replace(frames[index], ease=ease)
     return replace(track, keyframes=tuple(frames))
 
 
-def _late_s(track: Sequence, robot: Robot) -> float | None:
-    """Return the sum of the lateness at all keyframes; None if there is no plan."""
+def _lateness(track: Sequence, robot: Robot) -> Lateness | None:
+    """Return how late the keyframes are; None if there is no plan."""
     try:
         marks = plan(track, robot).marks
     except (InputError, PlanningError):
         return None
-    return sum(max(0.0, mark.planned_s - (mark.authored_s or 0.0)) for mark in marks)
+    late_s = [max(0.0, mark.planned_s - (mark.authored_s or 0.0)) for mark in marks]
+    return Lateness(sum(late_s), max(late_s, default=0.0))
 
 
 def _used(track: Sequence, layout: Layout) -> FloatArray:

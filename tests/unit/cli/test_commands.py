@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -95,11 +96,40 @@ def test_check_says_where_spline_costs_time_and_following_that_gains_it(capsys, 
     assert main(["check", str(path)]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
     assert line.startswith(f"spline costs time in 'fast': its keyframes are {advice['late_s']:.3f}")
-    assert f"(at {advice['smooth_at_s'][0]:g} s, " in line
-    write(advice["smooth_at_s"])
+    assert f"(at {advice['at_s'][0]:g} s, " in line
+    assert advice["ease"] == "smooth"
+    write(advice["at_s"])
     found = shown(capsys, "check", str(path), "--json")
     late_s = sum(mark["late_s"] for mark in found["late_keyframes"])
     assert late_s == pytest.approx(advice["would_be_s"], abs=0.005)
+    assert found["ease_advice"] == []
+
+
+def test_check_says_where_smooth_costs_time_and_following_that_gains_it(capsys, tmp_path):
+    path = tmp_path / "fast.yaml"
+
+    def write(interpolation):
+        head = f"sequence: fast\nrobot: {Path(ROBOT).absolute()}\ninterpolation: {interpolation}\n"
+        rows = (
+            f"- {{at_s: {0.05 * n:.2f}, deg: {{base: {40 * math.sin(0.4 * n):.2f}, "
+            f"wrist: {40 * math.sin(0.54 * n):.2f}}}}}\n"
+            for n in range(32)
+        )
+        path.write_text(f"{head}keyframes:\n{''.join(rows)}", encoding="utf-8")
+
+    write("smooth")
+    (advice,) = shown(capsys, "check", str(path), "--json")["ease_advice"]
+    assert (advice["ease"], len(advice["at_s"])) == ("spline", 31)
+    assert advice["would_be_s"] < 0.85 * advice["late_s"]
+    assert main(["check", str(path)]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line.startswith(f"smooth costs time in 'fast': its keyframes are {advice['late_s']:.3f}")
+    assert "with ease: spline at every keyframe it would be" in line
+    write("spline")
+    found = shown(capsys, "check", str(path), "--json")
+    late_s = [mark["late_s"] for mark in found["late_keyframes"]]
+    assert sum(late_s) == pytest.approx(advice["would_be_s"], abs=0.005)
+    assert line.endswith(f"at most {max(late_s):.3f} s")
     assert found["ease_advice"] == []
 
 
