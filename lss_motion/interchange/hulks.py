@@ -1,13 +1,14 @@
 """Motion JSON of the HULKs humanoids: groups of joints in radians, durations in seconds.
 
 The motion starts at `initial_positions`. Each keyframe is reached `duration` after the one before.
-Older files have `frames` in place of `motion`. Newer ones have stiffnesses beside the positions.
+Older files have `frames` in place of `motion`, and conditions among them. Jumps have stiffnesses:
+`{"positions", "stiffnesses"}` in place of the groups of joints, at the start and in each keyframe.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import Pose, Unit, motion_of_poses, summarised
@@ -17,12 +18,16 @@ if TYPE_CHECKING:
 
     from lss_motion.interchange.reader import ForeignMotion
 
+START: Final = "initial_positions"
+STIFFNESSES: Final = "stiffnesses"
+"""Also found among the groups of joints, in `jump_left.json` of the team."""
+
 
 @dataclass(frozen=True, slots=True)
 class HulksReader:
     """Reads `{"initial_positions", "motion": [{"keyframes": [{"duration", "positions"}]}]}`.
 
-    `initial_positions` may be `{"positions", "stiffnesses"}`, as each keyframe may.
+    Positions may be `{"positions", "stiffnesses"}`, at the start and in each keyframe.
 
     The name of a joint is `group.joint`, such as `left_arm.elbow_roll`.
     """
@@ -37,14 +42,10 @@ class HulksReader:
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         fields = JsonFields(path)
         top = fields.mapping(parsed_json(path, data), "the file")
-        first = fields.mapping(top.get("initial_positions"), "initial_positions")
-        found: list[str] = []
-        place = "initial_positions"
-        if "positions" in first:
-            found += [f"{place}: {key}" for key in first if key != "positions" and first[key]]
-            place, first = f"{place}.positions", fields.mapping(first["positions"], place)
-        poses = [Pose(at_s=0.0, values=_values(fields, first, place), place=place)]
-        known = {"initial_positions", "motion", "frames", "interpolation_mode"}
+        values, left = _values(fields, top.get(START), START)
+        poses = [Pose(at_s=0.0, values=values, place=START)]
+        found = [f"{START}: {name}" for name in left]
+        known = {START, "motion", "frames", "interpolation_mode"}
         found += [key for key in top if key not in known and top[key]]
         found += _mode(top)
         for where, part, key in _parts(fields, top):
@@ -55,12 +56,15 @@ class HulksReader:
             for index, listed in enumerate(fields.items(part, key, where or "the file")):
                 place = f"{where}.{key}[{index}]".lstrip(".")
                 keyframe = fields.mapping(listed, place)
-                duration_s = fields.duration(keyframe, "duration", place)
-                values = _values(fields, keyframe.get("positions"), f"{place}.positions")
-                at_s = poses[-1].at_s + duration_s
+                if keyframe and all(name.endswith("Condition") for name in keyframe):
+                    found += keyframe
+                    continue
+                at_s = poses[-1].at_s + fields.duration(keyframe, "duration", place)
+                values, left = _values(fields, keyframe.get("positions"), f"{place}.positions")
                 poses.append(Pose(at_s=at_s, values=values, place=place))
                 known = {"duration", "positions", "interpolation_mode"}
-                found += [f"keyframes: {name}" for name in keyframe if name not in known]
+                left += [name for name in keyframe if name not in known]
+                found += [f"keyframes: {name}" for name in left]
                 found += _mode(keyframe)
         comments = (f"Imported from {path.name} (HULKs motion).", *summarised(found))
         return (motion_of_poses(path, path.stem, poses, unit_of=_unit, comments=comments),)
@@ -80,12 +84,23 @@ def _mode(part: dict[str, object]) -> list[str]:
     return [f"interpolation_mode {mode!s:.40}; the keys are joined smoothly"] if mode else []
 
 
-def _values(fields: JsonFields, groups: object, where: str) -> dict[str, float]:
-    return {
+def _values(fields: JsonFields, listed: object, where: str) -> tuple[dict[str, float], list[str]]:
+    """Return the values by joint, and the names of what is no position."""
+    groups = fields.mapping(listed, where)
+    left_out: list[str] = []
+    if "positions" in groups:
+        left_out = [name for name in groups if name != "positions" and groups[name]]
+        where = f"{where}.positions"
+        groups = fields.mapping(groups["positions"], where)
+    if STIFFNESSES in groups:
+        left_out.append(STIFFNESSES)
+    values = {
         f"{group}.{joint}": fields.plain_number(value, f"{where}.{group}.{joint}")
-        for group, joints in fields.mapping(groups, where).items()
+        for group, joints in groups.items()
+        if group != STIFFNESSES
         for joint, value in fields.mapping(joints, f"{where}.{group}").items()
     }
+    return values, left_out
 
 
 def _unit(name: str) -> Unit:

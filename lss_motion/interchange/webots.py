@@ -1,8 +1,8 @@
-"""Webots `.motion` text: `minutes:seconds:milliseconds,pose,values`; `*` sets no key.
+"""Webots `.motion` text: `[[minutes:]seconds:]milliseconds,pose,values`; `*` sets no key.
 
 The names of the joints are in the first line, or in a second line of their own. Version 1.1 has `%`
-in place of `,`, no names of poses, and in its first column an instant or a duration. The unit of
-the duration is assumed: milliseconds since the row before.
+in place of `,`, no names of poses, and in its first column an instant with colons, or a duration.
+The unit of the duration is assumed: milliseconds since the row before.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import ForeignMotion
 
 HEADER: Final = "#WEBOTS_MOTION"
-_TIME: Final = re.compile(r"(\d{1,4}):(\d{1,2}):(\d{1,3})", re.ASCII)
+_TIME: Final = re.compile(r"(?:(?:(\d{1,4}):)?(\d{1,5}):)?(\d{1,8})", re.ASCII)
+"""Minutes and seconds may be absent, as in the player of Webots (FACTS.md F16)."""
 _VERSION: Final = re.compile(r"V1\.\d{1,2}", re.ASCII | re.IGNORECASE)
 
 VARIANTS: Final = (
@@ -95,7 +96,7 @@ def _table(lines: TextLines) -> _Table:
         (line, head), *rows = rows
         delimiter = "%" if "%" in head else ","
         names = [word.strip() for word in head.rstrip(f"{delimiter} ").split(delimiter)]
-        if _TIME.fullmatch(names[0]):
+        if ":" in names[0] and _TIME.fullmatch(names[0]):
             lines.refuse(line, f"names of joints are expected here; {VARIANTS}")
     if len(set(names)) < len(names) or not all(names):
         lines.refuse(line, "every joint needs a name of its own")
@@ -105,8 +106,11 @@ def _table(lines: TextLines) -> _Table:
 def _instant_s(lines: TextLines, number: int, word: str) -> float:
     time = _TIME.fullmatch(word)
     if time is None:
-        lines.refuse(number, f"{word!r:.60} is not a time of the form mm:ss:mmm; {VARIANTS}")
-    minutes, seconds, milliseconds = map(int, time.groups())
+        lines.refuse(
+            number,
+            f"{word!r:.60} is not a time of the form mm:ss:mmm, ss:mmm or mmm; {VARIANTS}",
+        )
+    minutes, seconds, milliseconds = (int(part or 0) for part in time.groups())
     return 60.0 * minutes + seconds + s_from_ms(milliseconds)
 
 

@@ -69,6 +69,38 @@ def test_initial_positions_may_stand_beside_stiffnesses(read_one) -> None:
         assert any(f"interpolation_mode {mode};" in text for text in motion.comments)
 
 
+def test_keyframes_of_jumps_have_stiffnesses_beside_their_positions(read_one) -> None:
+    """Nested as `jump_left.json` of the team, with stiffnesses once more among the groups."""
+    plain = read_one(HulksReader(), json.dumps(HULKS))
+    content = json.loads(json.dumps(HULKS))
+    stiffnesses = {"head": {"yaw": 0.9}}
+    start = {**content["initial_positions"], "stiffnesses": stiffnesses}
+    content["initial_positions"] = {"positions": start, "stiffnesses": stiffnesses}
+    for part in content["motion"]:
+        for keyframe in part["keyframes"]:
+            positions = keyframe["positions"]
+            keyframe["positions"] = {"positions": positions, "stiffnesses": stiffnesses}
+    motion = read_one(HulksReader(), json.dumps(content))
+    assert [channel.name for channel in motion.channels] == ["head.yaw", "left_arm.hand"]
+    for own, other in zip(motion.channels, plain.channels, strict=True):
+        assert own.times_s.tolist() == other.times_s.tolist()
+        assert own.values.tolist() == other.values.tolist()
+    assert set(motion.comments[1:]) == {
+        "Not carried over: initial_positions: stiffnesses",
+        "Not carried over: keyframes: stiffnesses",
+        "Not carried over: motion: exit_condition",
+    }
+
+
+def test_a_condition_among_the_frames_is_listed(read_one) -> None:
+    frames = [*HULKS["motion"][0]["keyframes"]]
+    frames.insert(1, {"StabilizedCondition": {"tolerance": 0.1, "timeout_duration": 5.0}})
+    content = {"initial_positions": HULKS["initial_positions"], "frames": frames}
+    motion = read_one(HulksReader(), json.dumps(content))
+    assert motion.channels[0].times_s.tolist() == [0.0, 0.5, 1.5]
+    assert "Not carried over: StabilizedCondition" in motion.comments
+
+
 def test_older_files_have_one_list_of_frames(read_one) -> None:
     frames = HULKS["motion"][0]["keyframes"]
     content = {"initial_positions": HULKS["initial_positions"], "frames": frames}

@@ -73,6 +73,13 @@ def test_names_may_have_a_line_of_their_own_and_durations_are_summed(read_one, t
     assert any("assumed to be milliseconds" in text for text in motion.comments) is has_durations
 
 
+def test_minutes_and_seconds_of_an_instant_may_be_absent(read_one) -> None:
+    text = "#WEBOTS_MOTION,V1.0,ArmL\n0,Rest,0\n500,Up,1\n1:250,Up,2\n1:2:3,Rest,0\n"
+    motion = read_one(WebotsReader(), text)
+    assert motion.channels[0].times_s.tolist() == [0.0, 0.5, 1.25, 62.003]
+    assert not any("assumed" in comment for comment in motion.comments)
+
+
 @pytest.mark.parametrize(
     ("text", "line"),
     [
