@@ -145,7 +145,7 @@ def _fps(path: Path, info: dict[str, object] | None) -> float | None:
 
 
 def _names(path: Path, info: dict[str, object] | None, column: str, count: int) -> list[str]:
-    """Return the names of the joints in `info`, or numbers."""
+    """Return the names of the joints in `info`, or numbers; a name that repeats gets a number."""
     features = info.get("features") if info else None
     feature = features.get(column) if isinstance(features, dict) else None
     names = feature.get("names") if isinstance(feature, dict) else None
@@ -154,12 +154,17 @@ def _names(path: Path, info: dict[str, object] | None, column: str, count: int) 
     if not isinstance(names, list):
         return [f"state_{index}" for index in range(count)]
     texts = [str(name).removesuffix(".pos") for name in names]
-    if len(texts) != count or len(set(texts)) < count:
+    if len(texts) == 1 < count:  # Some datasets name the axis, such as "state", not its values.
+        texts = [f"{texts[0]}_{index}" for index in range(count)]
+    if len(texts) != count:
         raise InputError(
-            f"meta/info.json names {counted(texts, 'joint')}, each once, but {column} has {count}",
-            path=path,
+            f"meta/info.json names {counted(texts, 'joint')}, but {column} has {count}", path=path
         )
-    return texts
+    distinct: list[str] = []
+    for text in texts:
+        numbers = (f"_{number}" for number in range(2, count + 1))
+        distinct.append(next(text + end for end in ("", *numbers) if text + end not in distinct))
+    return distinct
 
 
 def _times_s(

@@ -97,9 +97,28 @@ def test_a_file_that_was_cut_off_is_recognised_and_called_so(refusal) -> None:
     assert refusal(LeRobotReader(), data).reason.endswith("it was cut off")
 
 
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ({"motors": ["pan", "tilt", "grip"]}, ["pan", "tilt", "grip"]),
+        (["pan", "gripper", "gripper"], ["pan", "gripper", "gripper_2"]),
+        (["grip", "grip_2", "grip"], ["grip", "grip_2", "grip_3"]),
+        (["state"], ["state_0", "state_1", "state_2"]),
+        (None, ["state_0", "state_1", "state_2"]),
+    ],
+)
+def test_names_of_public_datasets(dataset: Path, names, expected) -> None:
+    info = {**INFO, "features": {"observation.state": {"names": names}}}
+    (dataset.parents[2] / "meta" / "info.json").write_text(json.dumps(info), encoding="utf-8")
+    data = parquet(**{"observation.state": [[1.0, 2.0, 3.0]] * 5})
+    motion, _ = LeRobotReader().motions(dataset, data)
+    assert [channel.name for channel in motion.channels] == expected
+    assert [channel.values[0] for channel in motion.channels] == [1.0, 2.0, 3.0]
+
+
 def test_names_for_other_joints_are_refused(dataset: Path) -> None:
     dataset.write_bytes(parquet(**{"observation.state": [[1.0]] * 5}))
-    with pytest.raises(InputError, match="names 2 joints, each once, but"):
+    with pytest.raises(InputError, match="names 2 joints, but"):
         LeRobotReader().motions(dataset, dataset.read_bytes())
 
 
