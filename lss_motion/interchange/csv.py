@@ -18,7 +18,7 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
-from lss_motion.interchange.fields import TextLines, text_head
+from lss_motion.interchange.fields import TextLines, is_number, text_head
 from lss_motion.interchange.reader import (
     DIGITS,
     FPS_MAX,
@@ -111,8 +111,19 @@ class CsvRows:
         return at, 1.0 / self.fps
 
 
+def delimiter_of(line: str) -> str:
+    """Return what divides the cells of a table, from its first line."""
+    for mark in ";\t":  # The commas of a line without names may be decimal signs.
+        if mark in line and all(is_number(w.strip(), has_commas=True) for w in line.split(mark)):
+            return mark
+    return max(",;\t", key=line.count)
+
+
 def csv_rows(lines: TextLines) -> CsvRows:
-    """Return the table. A comment above it may give the frame rate."""
+    """Return the table. A comment above it may give the frame rate.
+
+    Names of columns differ, except where the first line has none but numbers.
+    """
     fps: float | None = None
     found: tuple[int, str] | None = None
     for number, line in lines.numbered():
@@ -126,12 +137,13 @@ def csv_rows(lines: TextLines) -> CsvRows:
     if found is None:
         lines.refuse(None, "has no header line")
     number, line = found
-    delimiter = max(",;\t", key=line.count)
+    delimiter = delimiter_of(line)
     try:
         header = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
     except csv.Error as error:
         raise InputError(f"no table: {error}", path=lines.path, line=number) from error
-    if twice := [name for name in header if header.count(name) > 1]:
+    twice = [name for name in header if header.count(name) > 1]
+    if twice and not all(is_number(name, has_commas=True) for name in header):
         lines.refuse(number, f"column {twice[0]!r:.60} occurs twice")
     return CsvRows(lines, number, header, delimiter, fps, number)
 

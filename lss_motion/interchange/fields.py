@@ -137,6 +137,14 @@ NUMBER_MAX_CHARS: Final = 40
 
 _NUMBER: Final = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d{1,3})?", re.ASCII)
 
+
+def is_number(word: str, *, has_commas: bool = False) -> bool:
+    """Return whether `word` is a number. `has_commas` allows a decimal comma."""
+    if len(word) > NUMBER_MAX_CHARS or ("," in word and not has_commas):
+        return False
+    return _NUMBER.fullmatch(word) is not None
+
+
 VALUE_MAX: Final = 1e12
 """Larger than any time: seconds since 1970 are 1.7e9."""
 
@@ -174,8 +182,7 @@ class TextLines:
     def number(self, word: str, line: int, *, has_commas: bool = False) -> float:
         """Return a finite number. `has_commas` allows a decimal comma."""
         word = word.strip()
-        is_number = len(word) <= NUMBER_MAX_CHARS and _NUMBER.fullmatch(word)
-        if not is_number or ("," in word and not has_commas):
+        if not is_number(word, has_commas=has_commas):
             self.refuse(line, f"{word!r:.60} is not a number")
         value = float(word.replace(",", "."))
         if not abs(value) <= VALUE_MAX:

@@ -17,10 +17,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
-from lss_motion.interchange.csv import csv_rows, unit_of_column
+from lss_motion.interchange.csv import csv_rows, delimiter_of, unit_of_column
 from lss_motion.interchange.fields import (
     JsonFields,
     TextLines,
+    is_number,
     parsed_json,
     starts_json,
     text_head,
@@ -64,11 +65,6 @@ VALUES: Final = {
     "us": Unit.US,
 }
 
-_NUMBER_ROW: Final = re.compile(
-    r"\s*[-+]?\d+([.,]\d+)?(\s*[;\t]\s*[-+]?\d+([.,]\d+)?)+\s*"
-    r"|\s*[-+]?\d+(\.\d+)?(\s*,\s*[-+]?\d+(\.\d+)?)+\s*",
-    re.ASCII,
-)
 _JSON_ROW: Final = re.compile(rb"\[\s*(\{|\[\s*[-+\d])")
 
 
@@ -89,12 +85,25 @@ class PosesReader:
             for row in head.decode("utf-8", "replace").splitlines()
             if row.strip() and not row.lstrip().startswith("#")
         ]
-        # The last row may be cut, where the file is longer than the head.
-        return len(rows) > 1 and all(_NUMBER_ROW.fullmatch(row) for row in rows[1:3])
+        return len(rows) > 1 and all(_is_pose(rows[0], row) for row in rows[1:3])
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         is_json = starts_json(data, b"[") or starts_json(data, b"{")
         return (_from_json(path, data) if is_json else _from_rows(TextLines.of(path, data)),)
+
+
+def _is_pose(header: str, row: str) -> bool:
+    """Return whether `row` has numbers, maybe with empty cells and names of the pose."""
+    mark = delimiter_of(header)
+    names = [name.strip(' "').lower() for name in header.split(mark)]
+    cells = [cell.strip() for cell in row.split(mark)]
+    # The last row may be cut, where the file is longer than the head.
+    words = [cell for name, cell in zip(names, cells, strict=False) if cell and name not in NAMES]
+    return (
+        len(cells) > 1
+        and len(words) > 0
+        and all(is_number(word, has_commas=mark != ",") for word in words)
+    )
 
 
 @dataclass(slots=True)
@@ -241,7 +250,7 @@ def _listed(
 
 def _from_rows(lines: TextLines) -> ForeignMotion:
     table = csv_rows(lines)
-    if all(_is_number(cell) for cell in table.header):
+    if all(is_number(cell, has_commas=table.has_commas) for cell in table.header):
         numbered = [f"J{n}" for n in range(1, len(table.header) + 1)]
         table = replace(table, header=numbered, first_row=table.header_line - 1)
     times = {**dict.fromkeys(INSTANTS, "instant"), **dict.fromkeys(DURATIONS, "duration"),
@@ -267,7 +276,3 @@ def _from_rows(lines: TextLines) -> ForeignMotion:
     if not found.poses:
         lines.refuse(None, "has no row with a value")
     return found.motion(motion_name(lines.path), [])
-
-
-def _is_number(cell: str) -> bool:
-    return re.fullmatch(r"[-+]?\d+([.,]\d*)?", cell, re.ASCII) is not None

@@ -54,6 +54,10 @@ def test_forms_of_json(read_one, content, expected) -> None:
         ("10,20\n30,40\n", {"J1": [(0, 10), (1, 30)], "J2": [(0, 20), (1, 40)]}),
         ("# by hand\na,b_rad\n10,20\n30,40\n", {"a": [(0, 10), (1, 30)], "b": [(0, 20), (1, 40)]}),
         ("a;duration_ms\n1,5;500\n2,5;250\n", {"a": [(0.5, 1.5), (0.75, 2.5)]}),
+        ("0,0\n30,40\n", {"J1": [(0, 0), (1, 30)], "J2": [(0, 0), (1, 40)]}),
+        ("0,5;1,5\n-,5;2\n", {"J1": [(0, 0.5), (1, -0.5)], "J2": [(0, 1.5), (1, 2)]}),
+        ("1.5e+00,.5\n-2e0,3\n", {"J1": [(0, 1.5), (1, -2)], "J2": [(0, 0.5), (1, 3)]}),
+        ('name,a,b\nup,1,\n"down",2,3\n', {"a": [(0, 1), (1, 2)], "b": [(1, 3)]}),
         ("a\tduration_s\thold_s\n1\t1\t1\n2\t1\t0\n", {"a": [(1, 1), (3, 2)]}),
     ],
 )
@@ -61,6 +65,12 @@ def test_rows_of_angles(read_one, text, expected) -> None:
     motion = read_one(PosesReader(), text)
     assert keys(motion) == expected
     assert next(reader for reader in READERS if reader.recognises(text.encode())).name == "poses"
+
+
+def test_the_column_of_names_becomes_labels(read_one) -> None:
+    motion = read_one(PosesReader(), "name;a;duration_s\nup;1,5;1\ndown;2;0,5\n")
+    assert [note.label for note in motion.notes.values()] == ["up", "down"]
+    assert keys(motion) == {"a": [(1, 1.5), (1.5, 2)]}
 
 
 def test_poses_without_times_are_named_as_such(read_one) -> None:
