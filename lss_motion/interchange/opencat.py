@@ -1,4 +1,4 @@
-"""Skills of OpenCat robots (Petoi): C arrays of `int8_t` with angles in degrees.
+"""Skills of OpenCat robots (Petoi): C arrays of `int8_t` (older: `char`), angles in degrees.
 
 The first number is the count of frames: 1 is a posture, more is a gait, less than 0 a behaviour.
 Roll, pitch and a ratio follow, by which all angles are multiplied. A behaviour then has the first
@@ -59,9 +59,13 @@ LOOPS_MAX: Final = 127
 
 _COMMENT: Final = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 _START: Final = re.compile(
-    rb"int8_t\s+\w{1,60}\s*\[|^\{\s*-?\d{1,3}\s*,[-+\d,\s]{8,}", re.MULTILINE
+    rb"int8_t\s+\w{1,60}\s*\["
+    rb"|\bchar\s+\w{1,60}\s*\[\s*\d{0,5}\s*\]\s*(?:PROGMEM\s*)?=\s*\{\s*-?\d{1,3}\s*,"
+    rb"|^\{\s*-?\d{1,3}\s*,[-+\d,\s]{8,}",
+    re.MULTILINE,
 )
-"""An array with its name, or a line that begins with bare numbers, as in the skill library."""
+"""An array with its name, of numbers of type `char` in older files, or a line that begins with bare
+numbers, as in the skill library."""
 _ARRAY: Final = re.compile(
     r"(?:\b(\w{1,60})\s*\[\s*\d{0,5}\s*\]\s*(?:PROGMEM\s*)?=\s*)?\{([-+\d,\s]*)\}", re.ASCII
 )

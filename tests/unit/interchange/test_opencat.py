@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from lss_motion.interchange.importing import READERS
 from lss_motion.interchange.opencat import DELAY_S, GAIT_FRAME_S, JUMP_S, STEP_S, OpenCatReader
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
 
@@ -39,6 +40,15 @@ def test_a_page_of_the_skill_library_has_a_bare_array_and_is_recognised() -> Non
     assert isinstance(up, ForeignMotion)
     assert [channel.values.tolist() for channel in up.channels] == [[30.0]] * 16
     assert not OpenCatReader().recognises(b'{\n  "poses": [[1, 2, 3, 4, 5]]\n}\n')
+
+
+def test_older_files_have_arrays_of_characters() -> None:
+    text = POSTURE.replace("const int8_t", "#define NYBBLE\n\nconst char").encode()
+    assert next(reader for reader in READERS if reader.recognises(text)).name == "opencat"
+    (up,) = OpenCatReader().motions(Path("m"), text)
+    assert isinstance(up, ForeignMotion)
+    assert [float(channel.values[0]) for channel in up.channels] == [float(n) for n in range(1, 17)]
+    assert not OpenCatReader().recognises(b'const char name[] = {"1, 2, 3"};\n')
 
 
 def test_the_last_joints_walk_and_come_back_to_the_first_frame(read_one) -> None:
