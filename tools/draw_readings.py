@@ -58,6 +58,7 @@ def draw(path: Path) -> None:
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import NullFormatter, ScalarFormatter
 
     figure, axes = plt.subplots(figsize=(9.0, 4.8), layout="constrained")
     for index, (name, deviation) in enumerate(CASES.items()):
@@ -76,6 +77,13 @@ def draw(path: Path) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("readings of a joint a second (the last point: as many as the line carries)")
     axes.set_ylabel("horn from plan, RMS (deg)")
+    for axis, ticks in (
+        (axes.xaxis, (1, 2, 5, 10, 20, 50)),
+        (axes.yaxis, (0.1, 0.2, 0.5, 1, 2, 4)),
+    ):
+        axis.set_ticks(ticks)
+        axis.set_major_formatter(ScalarFormatter())
+        axis.set_minor_formatter(NullFormatter())
     axes.legend(fontsize="small", ncols=2)
     axes.grid(visible=True, which="both", alpha=0.25)
     axes.set_title(f"{JOINTS} joints on one 115200 bps line, lively show (simulated)")
