@@ -16,7 +16,7 @@ from lss_motion.runtime.sound_choice import RATE_BAND
 from lss_motion.sequence.functions import call_lines, calls_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
@@ -85,9 +85,11 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
 
     `is_whole`: all slow spans and late keyframes, not only the worst ten.
     """
+    from lss_motion.files.source import counted
+
     length = "forever" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     passes = "" if trajectory.loop == 1 else f", one pass {trajectory.middle.duration_s:.3f} s"
-    lines = [f"{trajectory.name}: {length}{passes}, {len(trajectory.joints)} joints moved"]
+    lines = [f"{trajectory.name}: {length}{passes}, {counted(trajectory.joints, 'joint')} moved"]
     lines += [
         *_slow_lines(trajectory, is_whole=is_whole),
         *_late_lines(trajectory, is_whole=is_whole),
@@ -150,15 +152,31 @@ def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     for name in trajectory.joints:
         missed = [key for span in spans if span.joint == name for key in span.missed]
         if missed:
-            lines.append(_missed_text(name, missed, is_whole=is_whole))
+            lines += _missed_lines(name, missed, is_whole=is_whole)
+    if any(span.missed for span in spans):
+        lines.append("exact: true or a weight at a keyframe makes its joints get there")
     return lines
 
 
-def _missed_text(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) -> str:
-    """Return the text about keys at which a joint should turn or stay, the worst first."""
+def _missed_lines(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) -> Iterator[str]:
+    """Yield the texts about keys at which a joint should turn or stay, on either side.
+
+    A mouth that never closes must show beside openings that miss more degrees.
+    """
+    sides = {
+        "does not get as high as": [key for key in missed if key.given_deg < key.asked_deg],
+        "does not get as low as": [key for key in missed if key.given_deg >= key.asked_deg],
+    }
+    for what, keys in sides.items():
+        if keys:
+            yield f"not reached: joint {joint!r} {what} {_keys_text(keys, is_whole=is_whole)}"
+
+
+def _keys_text(keys: Sequence[MissedKey], *, is_whole: bool) -> str:
+    """Return how many keys are missed, and by how much, the worst first."""
     from lss_motion.files.source import counted
 
-    worst = sorted(missed, key=lambda key: -abs(key.given_deg - key.asked_deg))
+    worst = sorted(keys, key=lambda key: -abs(key.given_deg - key.asked_deg))
     shown = worst if is_whole else worst[:MISSED_COUNT]
     texts = [
         f"{key.asked_deg:g} deg at {key.at_s:.3f} s"
@@ -167,10 +185,7 @@ def _missed_text(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) -> 
         for key in shown
     ]
     more = f", and {len(worst) - len(shown)} more" if len(worst) > len(shown) else ""
-    return (
-        f"not reached: joint {joint!r} misses {counted(worst, 'turn')}: {', '.join(texts)}{more}; "
-        "exact: true or a weight at a keyframe makes it get there"
-    )
+    return f"{counted(worst, 'turn')}: {', '.join(texts)}{more}"
 
 
 def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:

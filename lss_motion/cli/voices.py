@@ -196,7 +196,7 @@ def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
     from lss_motion.interchange.voice import shortfall, voice_comments, voice_sequence
     from lss_motion.sequence.parts import keeping
     from lss_motion.sequence.write import write_sequence
-    from lss_motion.summaries import plan_lines
+    from lss_motion.summaries import late_marks, plan_lines
     from lss_motion.trajectory.planner import plan
 
     part, style = _part(arguments), _style(arguments)
@@ -206,7 +206,12 @@ def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
         sequence = keeping(sequence, is_time=False)
     trajectory = plan(sequence, robot)
     comments = voice_comments(voiced, part, style)
-    if style.follow == "syllables":
+    if late := late_marks(trajectory):
+        comments += [
+            f"keep: angle leaves the joint up to {late[0][1]:.3f} s behind the sound; with",
+            "keep: time (the default for a sound) it stays with it, and gives up angle.",
+        ]
+    elif style.follow == "syllables":
         found = shortfall(voiced, lambda times_s: trajectory.sample(times_s)[:, 0])
         comments += _shortfall_lines(found, voiced)
     write_sequence(sequence, arguments.output, comments=comments)

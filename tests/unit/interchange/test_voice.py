@@ -73,6 +73,17 @@ def test_the_jaw_is_open_when_the_sound_is_loud_within_its_limits_and_says_what_
     assert jaw_deg[np.searchsorted(times_s, 2.3)] < 1.0, "closed in the pause"
 
 
+def test_a_jaw_that_keeps_its_angles_says_how_far_it_falls_behind_the_sound(folder, capsys):
+    assert run("--joint", "jaw", "--keep", "angle", "--full", "-o", "jaw.yaml") == 0
+    said = capsys.readouterr().out
+    sequence, trajectory = planned()
+    assert not sequence.keeps_time
+    late_s = max(mark.planned_s - mark.authored_s for mark in trajectory.marks)
+    assert late_s > 0.5
+    assert f"keep: angle leaves the joint up to {late_s:.3f} s behind the sound" in said
+    assert "less far" not in said, "it gets to every angle, later"
+
+
 def test_each_figure_gets_its_own_voice_and_a_small_mouth_opens_fully(folder, capsys):
     words = ("--joint", "jaw", "--channel", "2", "--open-deg", "2", "--no-sound", "-o", "jaw.yaml")
     assert run(*words) == 0
