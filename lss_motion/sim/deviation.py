@@ -195,6 +195,10 @@ class _Read:
                     (key, f"{key!r:.60} is no key here; {known_names(key, known)}")
                 )
                 continue
+            if key in ("push_at", "push_for") and "push" not in values:
+                self.problems.append(
+                    (key, f"{key} alone pushes nothing; give push, too: push=6deg")
+                )
             try:
                 made[WORDS[key].field] = _value(key, str(value))
             except ValueError as error:

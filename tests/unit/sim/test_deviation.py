@@ -80,6 +80,7 @@ def test_a_text_is_read_as_it_is_written():
         ("droop=nan", "droop is 'nan': it needs a number with deg"),
         ("t_law=fast", "t_law is 'fast'"),
         ("lag=1ms,lag=2ms", "lag is given twice"),
+        ("push_at=2s", "push_at alone pushes nothing; give push, too: push=6deg"),
         ("lag=1ms,droop", "'droop' is not key=value"),
     ],
 )
@@ -94,8 +95,9 @@ def test_a_wrong_text_says_what_is_allowed(text, said):
 def test_the_bounds_of_a_key_are_written_as_they_are_typed(key):
     field = WORDS[key].field
     least, most = WORDS[key].bounds.split(" to ")
+    push = "push=1deg," if key.startswith("push_") else ""
     for text, number in ((least, WORDS[key].least), (most, WORDS[key].most)):
-        assert getattr(deviation_from_text(f"{key}={text}"), field) == number
+        assert getattr(deviation_from_text(f"{push}{key}={text}"), field) == number
 
 
 @pytest.mark.parametrize("text", ["", "lag", "lag:+30ms", "no.yaml"])
