@@ -121,9 +121,14 @@ class SimBus:
         outputs = [
             (index, spec) for index, spec in enumerate(servos) if spec.model.family is Family.IO2
         ]
-        self._boards = make_boards(
-            outputs, inputs or {}, self.motors, baud_bps=baud_bps, random=Random(f"{seed}/boards")
-        )
+        # A twin is on a board of its own: of the pins of one board with one id, only one answers.
+        own = [output for output in outputs if output[0] < own_count]
+        twins = [output for output in outputs if output[0] >= own_count]
+        random = Random(f"{seed}/boards")
+        self._boards = [
+            *make_boards(own, inputs or {}, self.motors, baud_bps=baud_bps, random=random),
+            *make_boards(twins, {}, self.motors, baud_bps=baud_bps, random=random),
+        ]
 
     def record(self) -> None:
         """Keep `lines` and the true angles from now on; to be called before the first instant."""

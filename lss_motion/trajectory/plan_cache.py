@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         "Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan, CommandedMove, Smoothing
     )
 
-PLANNER_VERSION: Final = 16
+PLANNER_VERSION: Final = 17
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 PIECES_MIN: Final = 64

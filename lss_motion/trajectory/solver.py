@@ -232,7 +232,7 @@ def solve(
         grid, squares, excess = _with_reserves(task, task.accel_shares, known, end_maxima)
     else:
         grid = _grid(task, from_s, to_s)
-        grid.shares[:] = _share(task, grid)
+        _keep_margin(task, grid)
         squares = _squares(task, grid, start_max, end_max)
         if task.rate_max == 1.0:
             is_slow = np.minimum(squares[:-1], squares[1:]) < 1.0
@@ -246,10 +246,10 @@ def solve(
     return RateWindow(grid.points_s, squares)
 
 
-def _share(task: RateTask, grid: _Grid) -> float:
-    """Return the share of the limits that the cells of a window use before any repair."""
-    is_long = task.rate_max == RATE_FREE and len(grid.segments) > MARGIN_CELLS
-    return MARGIN_RATIO if is_long else 1.0
+def _keep_margin(task: RateTask, grid: _Grid) -> None:
+    """Let the cells of a long window without authored times use less of the limits."""
+    if task.rate_max == RATE_FREE and len(grid.segments) > MARGIN_CELLS:
+        grid.shares[:] = MARGIN_RATIO
 
 
 def slow_outline(task: RateTask, from_s: float, to_s: float) -> RateWindow:
@@ -430,7 +430,7 @@ def _with_reserves(
     """
     segments = task.path.segments_of(0.5 * (known.grid_s[:-1] + known.grid_s[1:]))
     grid = _Grid(known.grid_s, segments, np.ones(len(segments)))
-    grid.shares[:] = _share(task, grid)
+    _keep_margin(task, grid)
     has_reserve = np.any(shares < 1.0, axis=1)[segments]
     squares, excess = _resolved(task, grid, known.squares, has_reserve, end_maxima)
     return grid, squares, np.nan_to_num(excess)

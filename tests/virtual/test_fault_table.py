@@ -24,8 +24,9 @@ def test_a_silent_servo_is_noticed_within_its_silent_s():
     assert 0.2 < silent.after_s <= 1.1
 
 
-def test_what_nothing_names_is_not_noticed():
-    assert played("another host asks every 0.1 s").noticed == ""
+def test_another_host_that_asks_is_named_and_the_show_goes_on():
+    asks = played("another host asks every 0.1 s")
+    assert (asks.noticed, asks.end) == ("a warning", "goes on to its end")
 
 
 def test_a_careful_run_finds_a_wrong_unit_that_a_show_only_warns_of():
