@@ -82,7 +82,7 @@ def test_two_rc_servos_with_one_id_are_found(kit):
     twin = Fault(kind=FaultKind.TWIN, servo_id=209)
     assert judged(*examined(kit, one)[:2]) == []
     # The twin is on another board: of two pins of one board with one id only the first answers.
-    with pytest.raises(BusError, match="answer of id 209 .* as when several servos have one id"):
+    with pytest.raises(BusError, match=r"answer of id 209 .* as when several servos have one id"):
         judged(*examined(kit, one, faults=[twin])[:2])
 
 
