@@ -15,7 +15,7 @@ import numpy as np
 from lss_motion.protocol.codec import storable, stored_wire
 from lss_motion.protocol.constants import BROADCAST_ID, Family
 from lss_motion.protocol.framing import commands_in
-from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, make_boards
+from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, Board, make_boards
 from lss_motion.sim.clocks import Drift
 from lss_motion.sim.faults import FOREVER_NS, FaultKind, Faults, SecondMaster
 from lss_motion.sim.horn_history import HornHistory
@@ -118,16 +118,26 @@ class SimBus:
         self._by_id: dict[int, list[Servo]] = {}
         self._usb_servo = next(is_pro, None)
         """The LSS-PRO at the end of the USB cable: the first one. The others are behind it."""
-        outputs = [
-            (index, spec) for index, spec in enumerate(servos) if spec.model.family is Family.IO2
-        ]
-        # A twin is on a board of its own: of the pins of one board with one id, only one answers.
+        self._boards = self._make_boards(servos, own_count, inputs or {}, seed)
+
+    def _make_boards(
+        self, servos: Sequence[ServoSpec], own_count: int, inputs: Mapping[int, int], seed: int
+    ) -> list[Board]:
+        """Return the boards of the RC servos and inputs.
+
+        Twins, from `own_count` on, are on boards of their own: of the pins of one board with one id
+        only the first answers.
+        """
+        outputs = [(n, spec) for n, spec in enumerate(servos) if spec.model.family is Family.IO2]
         own = [output for output in outputs if output[0] < own_count]
         twins = [output for output in outputs if output[0] >= own_count]
         random = Random(f"{seed}/boards")
-        self._boards = [
-            *make_boards(own, inputs or {}, self.motors, baud_bps=baud_bps, random=random),
-            *make_boards(twins, {}, self.motors, baud_bps=baud_bps, random=random),
+        return [
+            board
+            for pins, values in ((own, inputs), (twins, {}))
+            for board in make_boards(
+                pins, values, self.motors, baud_bps=self.baud_bps, random=random
+            )
         ]
 
     def record(self) -> None:
