@@ -75,5 +75,13 @@ def _hung(_number: int, _frame: FrameType | None) -> None:
 
 if __name__ == "__main__":
     counts = [int(word) for word in sys.argv[1:] if word.isdigit()]
+    named = [word for word in sys.argv[1:] if not word.isdigit()]
+    known = [reader.name for reader in READERS]
+    if "--help" in named:
+        print(f"{__doc__}\nFormats: {', '.join(known)}")
+        sys.exit()
+    if unknown := [word for word in named if word not in known]:
+        print(f"no such format: {', '.join(unknown)}; there are {', '.join(known)}")
+        sys.exit(2)
     inputs_count, seed = [*counts, *[100_000, 1][len(counts) :]]
-    sys.exit(main(inputs_count, seed, [word for word in sys.argv[1:] if not word.isdigit()]))
+    sys.exit(main(inputs_count, seed, named))
