@@ -14,6 +14,7 @@ horns more than `HARM_RATIO` times as large.
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 import tempfile
@@ -92,11 +93,18 @@ class Verdict:
 
 def main(words: list[str]) -> int:
     """Print a row for every motion; return the exit code."""
-    folder = Path(next(word for word in words if not word.startswith("--")))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="files of other tools")
+    parser.add_argument("--write", action="store_true", help="write a summary into FIGURES.md")
+    arguments = parser.parse_args(words)
+    if not arguments.folder.is_dir():
+        parser.error(f"{arguments.folder} is no folder")
     print(HEAD)
     print("|---" * (HEAD.count("|") - 1) + "|")
     is_good, lines = True, []
-    for path in sorted(folder.iterdir()):
+    for path in sorted(arguments.folder.iterdir()):
         if path.suffix in {".md", ""} or path.name.startswith("LICENSE"):
             continue
         verdicts = []
@@ -105,7 +113,7 @@ def main(words: list[str]) -> int:
             is_good = is_good and not verdict.is_bad
             print(f"| {' | '.join([path.name, name, *verdict.cells()])} |", flush=True)
         lines.append(_summary(path.name, verdicts))
-    if "--write" in words:
+    if arguments.write:
         before, _, rest = FIGURES.read_text(encoding="utf-8").partition(MARKS[0])
         table = "\n".join([SUMMARY, *filter(None, lines)])
         after = rest.partition(MARKS[1])[2]

@@ -46,7 +46,7 @@ from typing import TYPE_CHECKING, Final
 from benches.behind_pty import robot_behind_pty
 from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
-from lss_motion import api
+from lss_motion import api, shows
 from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase, PhaseEntered
 
@@ -67,9 +67,8 @@ JUDGED: Final = 18
 
 def measure() -> list[Row]:
     """Return the speed of simulated shows, and the share of a core that shows in real time take."""
-    walk_robot = api.load_robot(SEQUENCES / "robots" / "hexapod.yaml")
-    walk = api.plan(api.load_sequence(SEQUENCES / "hexapod_walk.yaml"), walk_robot)
-    rows = [_virtual("hexapod_walk", api.compile(walk, walk_robot), walk_robot)]
+    walk = shows.prepare(SEQUENCES / "hexapod_walk.yaml", None)
+    rows = [_virtual("hexapod_walk", walk.program, walk.robot)]
     for joints, baud_bps in SHOWS:
         robot = robot_of(joints, baud_bps=baud_bps)
         show = api.plan(lively_show(robot, SHOW_S, seed=3), robot)

@@ -11,6 +11,7 @@ the same phase of its control loops (`in_phase`), and judged at the horns. The b
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from dataclasses import dataclass, field, replace
@@ -394,9 +395,18 @@ def problems(ours: Outcome, other: Outcome) -> list[str]:
 
 def main(words: list[str]) -> int:
     """Print all deviations, or those with one of `words`; return 1 if feedback does harm."""
-    is_written = "--write" in words
-    words = [word for word in words if not word.startswith("--")]
-    texts = [text for text in DEVIATIONS if not words or any(word in text for word in words)]
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("words", nargs="*", metavar="WORD", help="part of a deviation's text")
+    parser.add_argument("--write", action="store_true", help="write the table into FIGURES.md")
+    arguments = parser.parse_args(words)
+    chosen = arguments.words
+    texts = [text for text in DEVIATIONS if not chosen or any(word in text for word in chosen)]
+    if not texts:
+        parser.error(f"no deviation has {' or '.join(chosen)} in its text")
+    if arguments.write and chosen:
+        parser.error("--write needs all deviations: leave the words out")
     made, lines, failures = cases(), [], 0
     print(
         f"{'deviation':40.40} {'show':9} {'model':9} RMS with/without  max            stands  "
@@ -418,7 +428,7 @@ def main(words: list[str]) -> int:
             )
         lines.append(_line(text, pairs))
     print(f"{failures} of {len(texts) * len(made)} with harm")
-    if is_written:
+    if arguments.write:
         _write(lines)
     return 1 if failures else 0
 
