@@ -69,7 +69,8 @@ class VirtualClock:
 
     def wait_until(self, instant_ns: int, filenos: Collection[int] = ()) -> None:  # noqa: ARG002
         """Continue at `instant_ns`. Virtual ports have no file: no data arrives in between."""
-        self.advance_to(max(instant_ns, self._now_ns))
+        if instant_ns > self._now_ns:
+            self.advance_to(instant_ns)
 
     def advance_to(self, instant_ns: int) -> None:
         assert instant_ns >= self._now_ns, "time cannot go backwards"

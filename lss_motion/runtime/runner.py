@@ -128,10 +128,11 @@ def run(
             leaving = _LeavingTime(clock)
             incoming = _Incoming(driven, ports, clock, leaving, tap)
             while True:
-                now_ns = leaving.next_ns()
+                now_ns = leaves_ns = leaving.next_ns()
                 if controls is not None:
                     controls.act(driven, now_ns)
-                if _write(driven, ports, leaving.next_ns(), tap):
+                    leaves_ns = leaving.next_ns()
+                if _write(driven, ports, leaves_ns, tap):
                     leaving.has_left()
                 while (event := driven.next_event()) is not None:
                     if tap is not None:
@@ -165,17 +166,23 @@ class _LeavingTime:
     def next_ns(self) -> int:
         """Return when the bytes of a decision that begins now will leave."""
         self._began_ns = self._clock.now_ns()
-        self._returned_ns = max(self._returned_ns, self._began_ns + self.decision_ns)
-        return self._returned_ns
+        leaves_ns = self._began_ns + self.decision_ns
+        if leaves_ns < self._returned_ns:
+            return self._returned_ns
+        self._returned_ns = leaves_ns
+        return leaves_ns
 
     def has_left(self) -> None:
         took_ns = self._clock.now_ns() - self._began_ns
-        step_ns = DECISION_STEP_NS if took_ns > self.decision_ns else -DECISION_STEP_NS
-        self.decision_ns = min(max(0, self.decision_ns + step_ns), DECISION_MAX_NS)
+        if took_ns <= self.decision_ns:
+            self.decision_ns -= DECISION_STEP_NS if self.decision_ns else 0
+        elif self.decision_ns < DECISION_MAX_NS:
+            self.decision_ns += DECISION_STEP_NS
 
     def now_ns(self) -> int:
         """Return the time, but not less than `next_ns` has returned."""
-        return max(self._returned_ns, self._clock.now_ns())
+        now_ns = self._clock.now_ns()
+        return max(self._returned_ns, now_ns)
 
 
 class _Incoming:
@@ -191,8 +198,9 @@ class _Incoming:
     ) -> None:
         self._driven = driven
         self._patient = _patient(driven)
-        self._ports = ports
+        self._ports = [*ports.items()]
         self._clock = clock
+        self._is_virtual = clock.is_virtual
         self._leaving = leaving
         self._tap = tap
         self._is_held = False
@@ -201,19 +209,21 @@ class _Incoming:
     def wait(self, wakeup_ns: int, controls: Controls[D] | None) -> None:
         """Wait until `wakeup_ns`, or until data comes to a control, or to a port read at once.
 
-        A port whose data may wait does not end the wait before its time.
+        A port whose data may wait does not end the wait before its time. A file never ends a wait
+        in virtual time.
         """
         wakeup_ns -= self._leaving.decision_ns
-        filenos = [] if controls is None else [*controls.filenos()]
-        for bus, port in self._ports.items():
-            reads_ns = None if self._patient is None else self._patient.reads_ns(bus)
-            if reads_ns is not None:
-                wakeup_ns = min(wakeup_ns, reads_ns)
-                continue
-            if (arrival_ns := port.next_arrival_ns()) is not None:
-                wakeup_ns = min(wakeup_ns, arrival_ns)
-            if (fileno := port.fileno()) is not None:
-                filenos.append(fileno)
+        filenos: list[int] = []
+        if controls is not None and not self._is_virtual:
+            filenos += controls.filenos()
+        for bus, port in self._ports:
+            due_ns = None if self._patient is None else self._patient.reads_ns(bus)
+            if due_ns is None:
+                due_ns = port.next_arrival_ns()
+                if not self._is_virtual and (fileno := port.fileno()) is not None:
+                    filenos.append(fileno)
+            if due_ns is not None and due_ns < wakeup_ns:
+                wakeup_ns = due_ns
         self._clock.wait_until(wakeup_ns, filenos)
 
     def read(self) -> None:
@@ -224,7 +234,7 @@ class _Incoming:
             if self._is_held:
                 return
         self._is_held = False
-        for bus, port in self._ports.items():
+        for bus, port in self._ports:
             if data := port.read():
                 now_ns = self._leaving.now_ns()
                 self._driven.receive_data(bus, data, now_ns)

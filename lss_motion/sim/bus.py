@@ -101,6 +101,10 @@ class SimBus:
         self._outages_ns: list[tuple[int, int]] = []
         self._blocks_ns: list[tuple[int, int]] = []
         self._is_started = False
+        self._now_ns = 0
+        """The last instant at which this bus was looked at, in the servos' time."""
+        self.has_outages = False
+        """Whether the port is unplugged at any time: it is looked at in each access to a port."""
         self._servos = [
             Servo(
                 spec,
@@ -147,12 +151,10 @@ class SimBus:
         self.motors.history = HornHistory(self.servo_count)
 
     def write(self, data: bytes, now_ns: int) -> None:
-        self.advance(now_ns)
-        self._host_line.write(data, self._drift.bus_ns(now_ns))
+        self._host_line.write(data, self._receive_until(now_ns))
 
     def read(self, now_ns: int) -> bytes:
-        self.advance(now_ns)
-        return self._servo_line.read(self._drift.bus_ns(now_ns))
+        return self._servo_line.read(self._receive_until(now_ns))
 
     def next_arrival_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
@@ -162,24 +164,17 @@ class SimBus:
         simulates ahead as far as the bytes on the line allow.
         """
         end_ns = self._servo_line.next_end_ns()
-        while self._host_line.lines and (end_ns is None or end_ns > self._next_line_ns()):
-            self._receive(*self._pop_line())
-            end_ns = self._servo_line.next_end_ns()
-        other_ns = self._second_master.next_ns()
-        if end_ns is None or (other_ns is not None and other_ns < end_ns):
+        lines, other_ns = self._host_line.lines, self._second_master.due_ns
+        while lines and self._receive_next(FOREVER_NS if end_ns is None else end_ns - 1):
+            end_ns, other_ns = self._servo_line.next_end_ns(), self._second_master.due_ns
+        if other_ns < FOREVER_NS and (end_ns is None or other_ns < end_ns):
             end_ns = other_ns
-        return None if end_ns is None else self._drift.host_ns(end_ns)
+        if end_ns is None:
+            return None
+        return self._drift.host_ns(end_ns) if self._drift.is_there else end_ns
 
     def advance(self, now_ns: int) -> None:
-        if not self._is_started:
-            self._start(now_ns)
-        now_ns = self._drift.bus_ns(now_ns)
-        if self._host_line.lines or self._second_master.is_there:
-            while self._next_line_ns() <= now_ns:
-                self._receive(*self._pop_line())
-        if self._faults.has_turns:
-            self._turn_until(now_ns)
-        self.motors.advance(now_ns)
+        self.motors.advance(self._receive_until(now_ns))
 
     @property
     def servo_count(self) -> int:
@@ -188,6 +183,7 @@ class SimBus:
     @property
     def is_resting(self) -> bool:
         """Return whether no horn moves and no command is on the line."""
+        self.motors.advance(self._now_ns)
         return self.motors.is_resting and not self._host_line.lines
 
     def set_host_rate(self, baud_bps: int, now_ns: int) -> None:
@@ -208,11 +204,6 @@ class SimBus:
         """
         return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._outages_ns]
 
-    @property
-    def has_outages(self) -> bool:
-        """Whether the port is unplugged at any time: it is looked at in each access to a port."""
-        return bool(self._outages_ns)
-
     def blocks_ns(self) -> list[tuple[int, int]]:
         """Return when the port takes no bytes of the host; after the first instant."""
         return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._blocks_ns]
@@ -225,6 +216,7 @@ class SimBus:
         instant of the last `advance`.
         """
         assert self.motors.history is not None, "call record() first"
+        self.motors.advance(self._now_ns)
         raw_deg = self.motors.history.horn_deg(map(self._drift.bus_ns, times_ns))
         own_deg = raw_deg[:, : len(self._set_up_gyre)]
         return np.asarray(self._set_up_gyre * (own_deg - self._set_up_origin_deg))
@@ -235,13 +227,13 @@ class SimBus:
         Only a servo in RC mode (CRC1, CRC2) obeys them.
         """
         self.advance(now_ns)
-        for servo in self._meant(servo_id):
+        for servo in self._by_id.get(servo_id, ()):
             servo.take_pulse(pulse_us, self._drift.bus_ns(now_ns))
 
     def lamp(self, servo_id: int, now_ns: int) -> Lamp:
         """Return what the LED of the first servo with that id shows."""
         self.advance(now_ns)
-        return self._meant(servo_id)[0].lamp(self._drift.bus_ns(now_ns))
+        return self._by_id[servo_id][0].lamp(self._drift.bus_ns(now_ns))
 
     def set_input(self, servo_id: int, raw: int, now_ns: int) -> None:
         """Set the value of the analog inputs with an id to `raw` (0 to 1023) from now on.
@@ -259,6 +251,7 @@ class SimBus:
         self._faults.start(now_ns)
         self._second_master.start(now_ns)
         self._outages_ns = self._faults.spans_ns(FaultKind.UNPLUGGED)
+        self.has_outages = bool(self._outages_ns)
         self._blocks_ns = self._faults.spans_ns(FaultKind.BLOCKED_PORT)
         self._adapter.start(now_ns, self._outages_ns)
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
@@ -277,61 +270,74 @@ class SimBus:
     def _drop_port(self, now_ns: int) -> None:
         """Take the port away while the servo restarts that is its USB device (FACTS.md P12)."""
         self._outages_ns.append((now_ns, now_ns + ns_from_s(self.motors.physics.usb_back_s)))
+        self.has_outages = True
         self._host_line.lines.clear()
-
-    def _next_line_ns(self) -> int:
-        """Return when the next line reaches the servos, from this host or another."""
-        lines = self._host_line.lines
-        own_ns = lines[0][0] if lines else FOREVER_NS
-        if not self._second_master.is_there:
-            return own_ns
-        other_ns = self._second_master.next_ns()
-        return own_ns if other_ns is None else min(own_ns, other_ns)
-
-    def _pop_line(self) -> tuple[int, bytes]:
-        """Return the next line, and when it reaches the servos."""
-        lines, other_ns = self._host_line.lines, self._second_master.next_ns()
-        is_own = other_ns is None or (bool(lines) and lines[0][0] <= other_ns)
-        return lines.popleft() if is_own else self._second_master.pop()
 
     # -- what the servos receive ----------------------------------------------------------------
 
-    def _receive(self, received_ns: int, sent: bytes) -> None:
-        if self._faults.has_turns:
+    def _receive_until(self, now_ns: int) -> int:
+        """Let the servos receive what is due; return `now_ns` in their time.
+
+        The motors stand still until a servo is read or ordered.
+        """
+        if not self._is_started:
+            self._start(now_ns)
+        if self._drift.is_there:
+            now_ns = self._drift.bus_ns(now_ns)
+        self._now_ns = now_ns
+        if self._host_line.lines or self._second_master.due_ns <= now_ns:
+            while self._receive_next(now_ns):
+                pass
+        if self._faults.turns:
+            self._turn_until(now_ns)
+        return now_ns
+
+    def _receive_next(self, until_ns: int) -> bool:
+        """Let the servos receive the next line, of any host; False: none is due by `until_ns`."""
+        lines, other_ns = self._host_line.lines, self._second_master.due_ns
+        if lines and lines[0][0] <= other_ns:
+            if lines[0][0] > until_ns:
+                return False
+            received_ns, sent = lines.popleft()
+        elif other_ns <= until_ns:
+            received_ns, sent = self._second_master.pop()
+        else:
+            return False
+        if self._faults.turns:
             self._turn_until(received_ns)
         self.motors.advance(received_ns)
         for servo in self._rc_servos:
             servo.note_line(received_ns)
-        for line in self._faults.received(sent, received_ns):
+        faults = self._faults
+        for line in faults.received(sent, received_ns) if faults.about_lines else (sent,):
             if self.lines is not None:
-                self.lines.append((self._drift.host_ns(received_ns), line))
+                at_ns = self._drift.host_ns(received_ns) if self._drift.is_there else received_ns
+                self.lines.append((at_ns, line))
             self._deliver_to_servos(received_ns, line)
-            self._deliver_to_boards(received_ns, line)
+            if self._boards:
+                self._deliver_to_boards(received_ns, line)
+        return True
 
     def _deliver_to_servos(self, received_ns: int, line: bytes) -> None:
         commands = commands_in(line, grouped=self._is_ordered)
         answers: list[Answer] = []
+        may_be_deaf = self._faults.deafness
         for command in commands:
-            for servo in self._meant(command.servo_id):
-                if not self._receives(servo, received_ns):
+            for servo in self._by_id.get(command.servo_id, ()):
+                if may_be_deaf and self._faults.is_deaf(servo.servo_id, received_ns):
                     continue
-                self._note(servo.index, received_ns, line)
+                if servo.baud_bps != self.baud_bps or not servo.is_listening(received_ns):
+                    continue
+                if self.lines is not None:
+                    self._note(servo.index)
                 reply = servo.obey(command, received_ns)
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
-                if not servo.is_listening(received_ns):  # It restarts.
+                if servo.deaf_until_ns > received_ns:  # It restarts.
                     self._sort_servos()
                     if servo is self._usb_servo:
                         self._drop_port(received_ns)
-        if self._is_ordered and len(commands) > 1:
-            is_to_all = [command.servo_id == BROADCAST_ID for command in commands]
-            if not any(is_to_all):
-                self._answering.send_in_turn(received_ns, answers)
-                return
-            if all(is_to_all):
-                self._answering.send_in_slots(received_ns, answers)
-                return
-        self._answering.send_each(received_ns, answers)
+        self._answering.send(received_ns, commands, answers)
 
     def _deliver_to_boards(self, received_ns: int, line: bytes) -> None:
         for board in self._boards:
@@ -342,36 +348,29 @@ class SimBus:
             for pin in board.meant(command.servo_id):
                 servo_id = pin.servo_id
                 if not self._faults.is_deaf(servo_id, received_ns):
-                    if pin.index is not None:
-                        self._note(pin.index, received_ns, line)
+                    if pin.index is not None and self.lines is not None:
+                        self._note(pin.index)
                     reply = board.obey(pin, command, received_ns)
                     if reply is not None:
                         answer = Answer(board, servo_id, command, reply)
-                        self._answering.send_each(received_ns, [answer])
+                        self._answering.send(received_ns, [command], [answer])
 
-    def _note(self, index: int, received_ns: int, line: bytes) -> None:
-        """Record a line that a servo received; one with several commands only once."""
-        if self.lines is not None:
-            entry = (self._drift.host_ns(received_ns), line)
-            if self.received[index][-1:] != [entry]:
-                self.received[index].append(entry)
-
-    def _meant(self, servo_id: int) -> list[Servo]:
-        return self._by_id.get(servo_id, [])
+    def _note(self, index: int) -> None:
+        """Record the last of `lines` for a servo; one with several commands only once."""
+        assert self.lines is not None
+        entry, received = self.lines[-1], self.received[index]
+        if not received or received[-1] != entry:
+            received.append(entry)
 
     # -- faults ---------------------------------------------------------------------------------
 
-    def _receives(self, servo: Servo, now_ns: int) -> bool:
-        is_deaf = self._faults.is_deaf(servo.servo_id, now_ns)
-        return servo.baud_bps == self.baud_bps and not is_deaf and servo.is_listening(now_ns)
-
     def _turn_until(self, now_ns: int) -> None:
         """Begin and end the faults of servos that are due."""
-        while (due_ns := self._faults.next_turn_ns()) is not None and due_ns <= now_ns:
-            turn = self._faults.pop_turn()
-            self.motors.advance(due_ns)
+        while self._faults.turns and self._faults.turns[-1].due_ns <= now_ns:
+            turn = self._faults.turns.pop()
+            self.motors.advance(turn.due_ns)
             if turn.fault.kind is FaultKind.LOW_VOLTAGE:
-                self.motors.supply(due_ns, turn.fault.supply_v if turn.is_begin else None)
+                self.motors.supply(turn.due_ns, turn.fault.supply_v if turn.is_begin else None)
                 continue
             for servo in self._servos:
                 is_renumbered = turn.fault.kind is FaultKind.STORED

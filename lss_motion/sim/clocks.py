@@ -28,14 +28,14 @@ class Drift:
     def __init__(self, faults: Iterable[Fault]) -> None:
         self._faults = tuple(faults)
         self._spans: list[tuple[int, int, int]] = []
+        self.is_there = bool(self._faults)
+        """Whether the two clocks ever differ."""
 
     def start(self, now_ns: int) -> None:
         self._spans = [(*fault.span_ns(now_ns), round(fault.drift_ppm)) for fault in self._faults]
 
     def bus_ns(self, host_ns: int) -> int:
         """Return the servos' instant; later for a later host instant."""
-        if not self._spans:
-            return host_ns
         ahead_ns = 0
         for from_ns, until_ns, drift_ppm in self._spans:
             passed_ns = min(host_ns, until_ns) - from_ns

@@ -224,17 +224,22 @@ class Turn:
 
 
 class Faults:
-    """Applies the rows. One random number is drawn for each line or reply, in their order."""
+    """Applies the rows. One random number is drawn for each line or reply, in their order.
+
+    A method that applies rows need not be called where there are none of its rows, which are
+    `about_lines`, `about_replies`, `deafness` and `wrong_ids`.
+    """
 
     def __init__(self, faults: Iterable[Fault], random: Random) -> None:
         self._faults = tuple(faults)
-        self._about_lines = self._of(*_LINE_KINDS)
-        self._about_replies = self._of(*REPLY_KINDS)
-        self._deafness = self._of(FaultKind.DEAF)
-        self._wrong_ids = self._of(FaultKind.WRONG_ID)
+        self.about_lines = self._of(*_LINE_KINDS)
+        self.about_replies = self._of(*REPLY_KINDS)
+        self.deafness = self._of(FaultKind.DEAF)
+        self.wrong_ids = self._of(FaultKind.WRONG_ID)
         self._random = random
         self._origin_ns = 0
-        self._turns: list[Turn] = []
+        self.turns: list[Turn] = []
+        """When a fault of a servo still begins or ends, the next one last."""
         self._unfinished = b""
 
     def start(self, now_ns: int) -> None:
@@ -243,32 +248,19 @@ class Faults:
         for fault in self._faults:
             if fault.kind in ABOUT_DEVICES:
                 from_ns, until_ns = fault.span_ns(now_ns)
-                self._turns.append(Turn(from_ns, fault, is_begin=True))
+                self.turns.append(Turn(from_ns, fault, is_begin=True))
                 if fault.kind not in INSTANT and until_ns < FOREVER_NS:
-                    self._turns.append(Turn(until_ns, fault, is_begin=False))
-        self._turns.sort(key=lambda turn: turn.due_ns, reverse=True)
+                    self.turns.append(Turn(until_ns, fault, is_begin=False))
+        self.turns.sort(key=lambda turn: turn.due_ns, reverse=True)
 
     def spans_ns(self, kind: FaultKind) -> list[tuple[int, int]]:
         """Return when rows of a kind begin and end, in order of time."""
         return sorted(f.span_ns(self._origin_ns) for f in self._faults if f.kind is kind)
 
-    @property
-    def has_turns(self) -> bool:
-        """Whether a fault of a servo still begins or ends."""
-        return bool(self._turns)
-
-    def next_turn_ns(self) -> int | None:
-        return self._turns[-1].due_ns if self._turns else None
-
-    def pop_turn(self) -> Turn:
-        return self._turns.pop()
-
     def received(self, line: bytes, now_ns: int) -> list[bytes]:
         """Return the lines that reach the servos in place of one: none, one or two."""
-        if not self._about_lines:
-            return [line]
         count = 1
-        for fault in self._active(self._about_lines, now_ns, None):
+        for fault in self._active(self.about_lines, now_ns, None):
             match fault.kind:
                 case FaultKind.LOST_COMMAND if fault.strikes(self._random):
                     return []
@@ -288,16 +280,12 @@ class Faults:
         return lines
 
     def is_deaf(self, servo_id: int, now_ns: int) -> bool:
-        if not self._deafness:
-            return False
-        active = self._active(self._deafness, now_ns, servo_id)
+        active = self._active(self.deafness, now_ns, servo_id)
         return any(fault.strikes(self._random) for fault in active)
 
     def sender(self, servo_id: int, now_ns: int) -> int:
         """Return the id that a servo puts into its reply."""
-        if not self._wrong_ids:
-            return servo_id
-        for fault in self._active(self._wrong_ids, now_ns, servo_id):
+        for fault in self._active(self.wrong_ids, now_ns, servo_id):
             if fault.strikes(self._random):
                 return fault.as_id
         return servo_id
@@ -308,7 +296,7 @@ class Faults:
         A piece begins when it is due and the one before it has ended.
         """
         count, split_ns = 1, 0
-        for fault in self._active(self._about_replies, start_ns, servo_id):
+        for fault in self._active(self.about_replies, start_ns, servo_id):
             match fault.kind:
                 case FaultKind.LOST_REPLY if fault.strikes(self._random):
                     return []
@@ -339,8 +327,6 @@ class Faults:
     def _active(
         self, faults: Sequence[Fault], now_ns: int, servo_id: int | None
     ) -> Sequence[Fault]:
-        if not faults:
-            return ()
         now_s = s_from_ns(now_ns - self._origin_ns)
         return [
             fault
@@ -360,20 +346,15 @@ class SecondMaster:
         self._rows = [fault for fault in faults if fault.kind is FaultKind.SECOND_MASTER]
         self._due: list[tuple[int, int, int]] = []
 
+        self.due_ns = FOREVER_NS
+        """When its next line arrives at the servos; `FOREVER_NS`: it sends no more."""
+
     def start(self, now_ns: int) -> None:
         """Count time from `now_ns`."""
         for index, fault in enumerate(self._rows):
             from_ns, until_ns = fault.span_ns(now_ns)
             heapq.heappush(self._due, (from_ns, index, until_ns))
-
-    @property
-    def is_there(self) -> bool:
-        """Whether it still sends lines."""
-        return bool(self._due)
-
-    def next_ns(self) -> int | None:
-        """Return when its next line arrives at the servos; None: never."""
-        return self._due[0][0] if self._due else None
+            self.due_ns = self._due[0][0]
 
     def pop(self) -> tuple[int, bytes]:
         """Return its next line, CR included, and when it arrives."""
@@ -381,6 +362,7 @@ class SecondMaster:
         again_ns = now_ns + max(ns_from_s(self._rows[index].every_s), 1)
         if again_ns < until_ns:
             heapq.heappush(self._due, (again_ns, index, until_ns))
+        self.due_ns = self._due[0][0] if self._due else FOREVER_NS
         return now_ns, self._rows[index].text.encode("latin-1") + b"\r"
 
 

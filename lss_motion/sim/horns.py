@@ -30,7 +30,7 @@ from lss_motion.sim.profile import (
     rest_at,
     travel_speed_deg_s,
 )
-from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,20 +93,26 @@ class Horns:
     def begin(self, index: int, now_ns: int, phase: Phase) -> None:
         """Begin a phase at `now_ns`, to which the horn has been brought."""
         self.phases[index] = phase
-        is_last = math.isinf(phase.duration_s)
-        self.end_ns[index] = FOREVER_NS if is_last else now_ns + ns_from_s(phase.duration_s)
+        duration_s = phase.duration_s
+        is_last = duration_s == math.inf
+        self.end_ns[index] = FOREVER_NS if is_last else now_ns + round(duration_s * NS_PER_S)
         self._began_ns[index] = now_ns
         self._phase_ns[index] = now_ns
-        self._set_final(index)
-        self.gap_deg[index] = self.deg.item(index) - self._final_deg(index, now_ns)
+        at_deg = self._set_final(index)
+        self.gap_deg[index] = self.deg.item(index) - (at_deg - self.droop_deg.item(index))
 
-    def _set_final(self, index: int) -> None:
+    def _set_final(self, index: int) -> float:
+        """Note the parabola that the horn approaches; return where it begins."""
         _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
-        lag_s = self._lags_s[index]
+        lag_s, finals = self._lags_s[index], self._finals
         behind_deg_s = speed_deg_s - lag_s * accel_deg_s2
-        self._finals[0, index] = position_deg - lag_s * behind_deg_s
-        self._finals[1, index] = behind_deg_s
-        self._finals[2, index] = 0.5 * accel_deg_s2
+        at_deg = position_deg - lag_s * behind_deg_s
+        finals[0, index], finals[1, index], finals[2, index] = (
+            at_deg,
+            behind_deg_s,
+            0.5 * accel_deg_s2,
+        )
+        return at_deg
 
     def coast(self, index: int, now_ns: int, top_deg_s: float) -> None:
         """Bring one horn to `now_ns` within its phase."""
@@ -212,15 +218,14 @@ class Horns:
     def is_settled(self) -> bool:
         return all(abs(gap_deg) < SETTLED_DEG for gap_deg in self.gap_deg.tolist())
 
-    def profile_deg(self, index: int, now_ns: int) -> float:
-        """Return where the servo's own profile is."""
+    def profile_at(self, index: int, now_ns: int) -> tuple[float, float]:
+        """Return where the servo's own profile is, and its speed."""
         _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
-        passed_s = s_from_ns(now_ns - self._began_ns[index])
-        return position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s
-
-    def profile_deg_s(self, index: int, now_ns: int) -> float:
-        _, _, speed_deg_s, accel_deg_s2 = self.phases[index]
-        return speed_deg_s + accel_deg_s2 * s_from_ns(now_ns - self._began_ns[index])
+        passed_s = (now_ns - self._began_ns[index]) / NS_PER_S
+        return (
+            position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s,
+            speed_deg_s + accel_deg_s2 * passed_s,
+        )
 
     def _final_deg(self, index: int, now_ns: int) -> float:
         """Return the angle that the horn would approach if this phase never ended."""
@@ -271,24 +276,23 @@ class Drives:
 
     def take_up(self, index: int, now_ns: int, order: Order) -> None:
         """Begin an order from the present position and speed of the profile."""
-        position_deg = self._horns.profile_deg(index, now_ns)
-        speed_deg_s = self._horns.profile_deg_s(index, now_ns)
+        position_deg, speed_deg_s = self._horns.profile_at(index, now_ns)
         if self.mode[index] is Mode.LIMP:  # Without a profile: from where the horn is.
             position_deg, speed_deg_s = float(self._horns.deg[index]), 0.0
         if self._physics.retarget == "from_rest":
             speed_deg_s = 0.0
         match order:
+            case ProfileMove():
+                ramps = _timed(position_deg, speed_deg_s, order, self._physics)
+                phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
+                self.travel_deg_s[index] = ramps.speed_deg_s
+                self._follow(index, now_ns, order.target_deg, phases)
             case Limp():
                 self.go_limp(index, now_ns)
             case Halt():
                 self.hold(index, now_ns, position_deg)
             case Chase():
                 self._chase(index, now_ns, position_deg, order)
-            case ProfileMove():
-                ramps = _timed(position_deg, speed_deg_s, order, self._physics)
-                phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
-                self.travel_deg_s[index] = ramps.speed_deg_s
-                self._follow(index, now_ns, order.target_deg, phases)
             case Wheel(wheel_deg_s, wheel_ramps, is_free):
                 self.travel_deg_s[index] = abs(wheel_deg_s)
                 if wheel_ramps is None:
@@ -335,8 +339,9 @@ class Drives:
         self._start(index, now_ns, [rest_at(float(self._horns.deg[index]))])
 
     def _start(self, index: int, now_ns: int, phases: list[Phase]) -> None:
-        self._phases[index] = deque(phases)
-        self.next_phase(index, now_ns)
+        first, *others = phases
+        self._phases[index] = deque(others)
+        self._horns.begin(index, now_ns, first)
 
     def next_phase(self, index: int, now_ns: int) -> None:
         """Begin the phase that follows the one that ends now."""
@@ -355,7 +360,7 @@ class Drives:
             return Motion.LIMP
         if self.mode[index] is Mode.FREE:
             return Motion.FREE_MOVING
-        speed_deg_s = self._horns.profile_deg_s(index, now_ns)
+        _, speed_deg_s = self._horns.profile_at(index, now_ns)
         accel_deg_s2 = self._horns.phases[index].accel_deg_s2
         if self.mode[index] is Mode.FILTER or speed_deg_s == accel_deg_s2 == 0.0:
             return Motion.HOLDING
@@ -381,7 +386,7 @@ def _timed(position_deg: float, speed_deg_s: float, move: ProfileMove, physics: 
     travel_deg_s = travel_speed_deg_s(
         abs(away_deg), duration_s, towards_deg_s, move.ramps, physics.t_law
     )
-    return move.ramps._replace(speed_deg_s=travel_deg_s)
+    return Ramps(travel_deg_s, move.ramps.accel_deg_s2, move.ramps.decel_deg_s2)
 
 
 def _obeyed_s(duration_s: float, physics: Physics) -> float | None:

@@ -161,13 +161,14 @@ class Motors:
         self.horns = Horns(specs, physics)
         self.power = Power(physics, np.array([float(spec.model.speed_max_deg_s) for spec in specs]))
         self.history: HornHistory | None = None
-        self.gyre = np.ones(count)
-        self.origin_deg = np.zeros(count)
+        self.gyre = [1.0] * count
+        self.origin_deg = [0.0] * count
         self.safe_cause = [SafeCause.NONE] * count
         self._is_guarded = [spec.model.family is not Family.IO2 for spec in specs]
         self.physics = physics
         self._drives = Drives(self.horns, physics, loop_phases_ns)
         self._limits_ma: list[tuple[float, Halt | Limp] | None] = [None] * count
+        self._dead_ns = ns_from_s(physics.dead_s)
         self._orders: list[tuple[int, int, int, Order]] = []
         self._order_count = 0
         self._tick_ns = 0
@@ -201,8 +202,8 @@ class Motors:
     def order(self, index: int, received_ns: int, order: Order) -> None:
         """Give servo `index` an order; it starts at its first control loop from `received_ns`."""
         self._order_count += 1
-        acts_ns = received_ns + ns_from_s(self.physics.dead_s)
-        entry = (self.loop_ns(index, acts_ns), self._order_count, index, order)
+        loop_ns = self._drives.loop_ns(index, received_ns + self._dead_ns)
+        entry = (loop_ns, self._order_count, index, order)
         heapq.heappush(self._orders, entry)
 
     def cancel(self, index: int, now_ns: int) -> None:
@@ -298,10 +299,10 @@ class Motors:
 
     def seen_deg(self, index: int, raw_deg: float) -> float:
         """Return a raw angle as the host reads it: from the origin, in the gyre's direction."""
-        return self.gyre.item(index) * (raw_deg - self.origin_deg.item(index))
+        return self.gyre[index] * (raw_deg - self.origin_deg[index])
 
     def raw_deg(self, index: int, seen_deg: float) -> float:
-        return self.gyre.item(index) * seen_deg + self.origin_deg.item(index)
+        return self.gyre[index] * seen_deg + self.origin_deg[index]
 
     # -- the grid ---------------------------------------------------------------------------------
 
@@ -366,7 +367,8 @@ class Motors:
             horns.lead(index, now_ns, min(max(speed_deg_s, -HAND_DEG_S), HAND_DEG_S))
         else:
             give = min(self.physics.hand_give_ratio * float(horns.holding_ratio[index]), 1.0)
-            horns.pull_deg[index] = give * (hand_deg - horns.profile_deg(index, now_ns))
+            profile_deg, _ = horns.profile_at(index, now_ns)
+            horns.pull_deg[index] = give * (hand_deg - profile_deg)
 
     def _push(self, index: int, now_ns: int) -> None:
         """Displace a horn until the next point of the grid, or let it go for good."""

@@ -32,17 +32,19 @@ class SimPort:
         self._outbox = Outbox(self.url, bus.baud_bps, self._take, lambda: 0)
 
     def write(self, data: bytes) -> None:
-        now_ns = self._plugged_ns()
+        if self.bus.has_outages:
+            self._check_plugged()
         if self._blocks_ns:
-            self._outbox.write(data, now_ns)
+            self._outbox.write(data, self._clock.now_ns())
         else:
-            self.bus.write(data, now_ns)
+            self.bus.write(data, self._clock.now_ns())
 
     def read(self) -> bytes:
-        now_ns = self._plugged_ns()
+        if self.bus.has_outages:
+            self._check_plugged()
         if self._blocks_ns:
-            self._outbox.flush(now_ns)
-        return self.bus.read(now_ns)
+            self._outbox.flush(self._clock.now_ns())
+        return self.bus.read(self._clock.now_ns())
 
     def fileno(self) -> int | None:
         return None
@@ -93,8 +95,7 @@ class SimPort:
         now_ns = self._clock.now_ns()
         return not any(self._opened_ns < from_ns <= now_ns for from_ns, _ in outages_ns)
 
-    def _plugged_ns(self) -> int:
-        """Return the instant; raise `BusError` if the port was unplugged since it was opened."""
-        if self.bus.has_outages and not self._is_plugged():
+    def _check_plugged(self) -> None:
+        """Raise `BusError` if the port was unplugged since it was opened."""
+        if not self._is_plugged():
             raise LostPortError(f"lost port {self.url}: it was unplugged", url=self.url)
-        return self._clock.now_ns()

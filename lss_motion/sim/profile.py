@@ -10,11 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Literal, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
+from typing import Literal, NamedTuple
 
 TINY_S = 1e-9
 """Phases shorter than this are left out: one nanosecond, the resolution of an instant."""
@@ -86,9 +82,15 @@ def plan_move(
         phases = []
     away_deg = target_deg - position_deg
     if abs(away_deg) > TINY_DEG:
-        sign = math.copysign(1.0, away_deg)
-        stretches = _trapezoid(abs(away_deg), abs(speed_deg_s), ramps)
-        phases += _chained(position_deg, sign * abs(speed_deg_s), stretches, sign)
+        sign = 1.0 if away_deg > 0.0 else -1.0
+        speed_deg_s = abs(speed_deg_s)
+        stretches = _trapezoid(abs(away_deg), speed_deg_s, ramps)
+        speed_deg_s *= sign
+        for duration_s, accel_deg_s2 in stretches:
+            if duration_s > TINY_S:
+                phase = Phase(duration_s, position_deg, speed_deg_s, sign * accel_deg_s2)
+                phases.append(phase)
+                position_deg, speed_deg_s = phase.end()
     phases.append(rest_at(target_deg))
     return phases
 
@@ -170,16 +172,6 @@ def _trapezoid(distance_deg: float, speed_deg_s: float, ramps: Ramps) -> list[tu
     ramps_deg = abs(peak**2 - speed_deg_s**2) / (2.0 * first_rate) + peak**2 / (2.0 * decel)
     cruise_s = max(distance_deg - ramps_deg, 0.0) / peak if peak > 0.0 else 0.0
     return [(ramp_s, first_accel), (cruise_s, 0.0), (peak / decel, -decel)]
-
-
-def _chained(
-    position_deg: float, speed_deg_s: float, stretches: list[tuple[float, float]], sign: float
-) -> Iterator[Phase]:
-    for duration_s, accel_deg_s2 in stretches:
-        if duration_s > TINY_S:
-            phase = Phase(duration_s, position_deg, speed_deg_s, sign * accel_deg_s2)
-            yield phase
-            position_deg, speed_deg_s = phase.end()
 
 
 class Motion(IntEnum):

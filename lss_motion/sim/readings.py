@@ -77,11 +77,14 @@ class Settings:
 
     def degrees(self, name: str, value: int) -> float:
         """Return a wire value in the physical unit of a row."""
-        return self.row(name).physical(value) * self.scale_ratio(name)
+        ratio = self.scale_ratio(name) if self.scale_ratios else 1.0
+        return self._rows[name].physical(value) * ratio
 
     def wire(self, name: str, physical: float) -> int:
         """Return a physical value in the units that the row has on the wire."""
-        return self.row(name).wire(physical / self.scale_ratio(name))
+        if self.scale_ratios:
+            physical /= self.scale_ratio(name)
+        return self._rows[name].wire(physical)
 
     def scale_ratio(self, name: str) -> float:
         """Return how many times the unit of the documents a unit of this servo is.
@@ -163,6 +166,7 @@ class Readings:
         self._settings = settings
         self._table: FamilyTable = settings.table
         self._answers = spec.answers
+        self._wire = settings.wire
         self._firmware = firmware
         self._random = random
         self._serial_number = f"{random.randrange(10**7, 10**8)}"
@@ -170,7 +174,7 @@ class Readings:
         is_pro = self._table.family is Family.LSS_PRO
         physics = motors.physics
         self._noise_deg = physics.noise_deg * (physics.pro_noise_ratio if is_pro else 1.0)
-        self._measured: dict[str, Callable[[int], int | str | None]] = {
+        measured: dict[str, Callable[[int], int | str | None]] = {
             "D": lambda now_ns: self._wire("D", self.position_deg(now_ns)),
             "DT": self._target,
             "P": self._pulse_us,
@@ -191,6 +195,8 @@ class Readings:
             "F": lambda _: self._firmware,
             "FR": lambda _: self._firmware,
         }
+        self.measured = {name: take for name, take in measured.items() if name not in spec.answers}
+        """What the servo measures or is, by row name: the answers to queries without suffix."""
 
     def value(self, row: Row, suffix: Suffix | None, now_ns: int) -> int | str | None:
         """Return what a query of `row` answers at `now_ns`; None: nothing after the keyword."""
@@ -213,7 +219,7 @@ class Readings:
     def _plain(self, row: Row, now_ns: int) -> int | str | None:
         if row.name in self._answers:
             return self._answers[row.name]
-        measure = self._measured.get(row.name)
+        measure = self.measured.get(row.name)
         if measure is not None:
             return measure(now_ns)
         value = self._settings.read(row, is_configured=False)
@@ -222,7 +228,7 @@ class Readings:
     def position_deg(self, now_ns: int) -> float:
         """Return the angle that the encoder shows, as the host sees angles."""
         raw_deg = self._motors.horn_deg(self._index, now_ns)
-        scatter_deg = self._random.uniform(-1.0, 1.0) * self._noise_deg
+        scatter_deg = (2.0 * self._random.random() - 1.0) * self._noise_deg
         return self._motors.seen_deg(self._index, raw_deg) + scatter_deg
 
     def pulse_us_per_deg(self) -> float:
@@ -265,11 +271,7 @@ class Readings:
         return not settings.physical("LN") <= seen_deg <= settings.physical("LP")
 
     def _speed_deg_s(self, now_ns: int) -> float:
-        gyre = float(self._motors.gyre[self._index])
-        return gyre * self._motors.horn_deg_s(self._index, now_ns)
-
-    def _wire(self, name: str, physical: float) -> int:
-        return self._settings.wire(name, physical)
+        return self._motors.gyre[self._index] * self._motors.horn_deg_s(self._index, now_ns)
 
     def _speed_in(self, row: Row, speed_deg_s: float) -> int:
         """Return a speed in the unit of `row`, which is SD's or, mirroring it, SR's."""

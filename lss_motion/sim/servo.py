@@ -78,10 +78,12 @@ class Moves:
                 self._order(now_ns, Halt(), {})
             case (("D" | "MD" | "P" | "M" | "WD" | "WR" | "MD_RAW"), None):
                 pass
-            case (("D" | "MD" | "P" | "M"), int()):
+            case "D", int():
+                self._go(command, self._settings.degrees("D", value), now_ns)
+            case (("MD" | "P" | "M"), int()):
                 self._go(command, self._asked_deg(name, value, now_ns), now_ns)
             case "WD", int():
-                self._turn(command, self._degrees("WD", value), now_ns)
+                self._turn(command, self._settings.degrees("WD", value), now_ns)
             case "WR", int():
                 self._turn(command, value * DEG_S_PER_RPM, now_ns)
             case "MD_RAW", int():
@@ -98,7 +100,7 @@ class Moves:
     def wheel_at(self, speed_ratio: float, now_ns: int) -> None:
         """Turn without end at that share of the largest speed, from `now_ns` on."""
         ramps = self._session_ramps()
-        raw_deg_s = float(self._motors.gyre[self._index]) * speed_ratio * ramps.speed_deg_s
+        raw_deg_s = self._motors.gyre[self._index] * speed_ratio * ramps.speed_deg_s
         self._order(now_ns, Wheel(raw_deg_s, ramps), {})
 
     def forget_ramps(self) -> None:
@@ -114,16 +116,14 @@ class Moves:
                 return pulse_us / readings.pulse_us_per_deg()
             case "M":
                 return readings.position_deg(now_ns) + value / readings.pulse_us_per_deg()
-            case "MD":
-                return readings.position_deg(now_ns) + self._degrees("MD", value)
             case _:
-                return self._degrees("D", value)
+                return readings.position_deg(now_ns) + self._settings.degrees("MD", value)
 
     def _go(self, command: Command, seen_deg: float, now_ns: int) -> None:
         """Move to an angle as the host sees it, with the modifiers that belong to the command."""
         settings = self._settings
         modifiers = self._modifiers(command)
-        if settings.number("LE"):
+        if settings.session.get("LE"):
             low_deg, high_deg = settings.physical("LN"), settings.physical("LP")
             seen_deg = min(max(seen_deg, low_deg), high_deg)
         raw_deg = self._motors.raw_deg(self._index, seen_deg)
@@ -133,17 +133,18 @@ class Moves:
             self._order(now_ns, chase, modifiers)
             return
         ramps = self._session_ramps()
-        speed_deg_s = min(ramps.speed_deg_s, modifiers.get("SD", ramps.speed_deg_s))
+        if "SD" in modifiers and modifiers["SD"] < ramps.speed_deg_s:
+            ramps = ramps._replace(speed_deg_s=modifiers["SD"])
         if "S" in modifiers:
-            speed_deg_s = min(speed_deg_s, modifiers["S"] / self._readings.pulse_us_per_deg())
+            speed_deg_s = modifiers["S"] / self._readings.pulse_us_per_deg()
+            ramps = ramps._replace(speed_deg_s=min(ramps.speed_deg_s, speed_deg_s))
         duration_s = s_from_ms(modifiers["T"]) if "T" in modifiers else None
-        move = ProfileMove(raw_deg, ramps._replace(speed_deg_s=speed_deg_s), duration_s)
-        self._order(now_ns, move, modifiers)
+        self._order(now_ns, ProfileMove(raw_deg, ramps, duration_s), modifiers)
 
     def _turn(self, command: Command, seen_deg_s: float, now_ns: int) -> None:
         ramps = self._session_ramps()
         speed_deg_s = min(max(seen_deg_s, -ramps.speed_deg_s), ramps.speed_deg_s)
-        raw_deg_s = float(self._motors.gyre[self._index]) * speed_deg_s
+        raw_deg_s = self._motors.gyre[self._index] * speed_deg_s
         wheel = Wheel(raw_deg_s, ramps if self._has_profile() else None)
         self._order(now_ns, wheel, self._modifiers(command))
 
@@ -151,7 +152,7 @@ class Moves:
         """Turn with a share of the motor's power and nothing that controls it (RDM)."""
         duty = min(max(duty, -DUTY_MAX), DUTY_MAX)
         self._settings.session["MD_RAW"] = duty
-        top_deg_s = float(self._motors.gyre[self._index]) * self._model.speed_max_deg_s
+        top_deg_s = self._motors.gyre[self._index] * self._model.speed_max_deg_s
         self._order(now_ns, Wheel(top_deg_s * duty / DUTY_MAX, None, is_free=True), {})
 
     def _order(self, now_ns: int, order: Order, modifiers: dict[str, float]) -> None:
@@ -181,15 +182,14 @@ class Moves:
         return self._ramps
 
     def _at_least_one(self, name: str) -> float:
-        return self._degrees(name, max(abs(self._settings.number(name)), 1))
-
-    def _degrees(self, name: str, value: int) -> float:
-        return self._settings.degrees(name, value)
+        return self._settings.degrees(name, max(abs(self._settings.number(name)), 1))
 
     def _modifiers(self, command: Command) -> dict[str, float]:
         """Return the modifiers in physical units; those that do not belong here do nothing."""
+        if not command.modifiers:
+            return {}
         table = self._settings.table
-        allowed = table.row(command.keyword).modifiers
+        allowed = table.by_keyword[command.keyword][1].modifiers
         return {
             name: row.physical(value) * self._settings.scale_ratios.get(name, 1.0)
             for name, value in command.modifiers
@@ -325,7 +325,7 @@ class Servo:
         self._moves = Moves(
             index, motors, self.settings, self._readings, model=spec.model, firmware=firmware
         )
-        self._deaf_until_ns = 0
+        self.deaf_until_ns = 0
         self._rc = RcInput(index, motors, self.settings, self._readings, firmware)
         self._armed: str | None = None
         self._apply_session(0)
@@ -367,7 +367,7 @@ class Servo:
         return self._table.family
 
     def is_listening(self, now_ns: int) -> bool:
-        return now_ns >= self._deaf_until_ns and not self._rc.is_deaf(now_ns)
+        return now_ns >= self.deaf_until_ns and not (self._rc.is_on and self._rc.is_deaf(now_ns))
 
     def obey(self, command: Command, now_ns: int) -> Reply | None:
         """Execute one command received at `now_ns`; return the reply to a query.
@@ -406,13 +406,13 @@ class Servo:
 
     def reset(self, now_ns: int, deaf_s: float = RESET_S) -> None:
         """Restart: deaf for `deaf_s`, limp, session values forgotten; then the first position."""
-        self._deaf_until_ns = now_ns + ns_from_s(deaf_s)
+        self.deaf_until_ns = now_ns + ns_from_s(deaf_s)
         self.settings.restart()
         self.servo_id = self.settings.number("ID")
         self.baud_bps = self.settings.number("B") or self.baud_bps
         self._motors.reset(self.index, now_ns)
         self._apply_session(now_ns)
-        self.power_up(self._deaf_until_ns)
+        self.power_up(self.deaf_until_ns)
 
     def store(self, settings: Mapping[str, int], now_ns: int) -> None:
         """Take wire values by row name at once, for the session and for every later start."""
@@ -427,6 +427,9 @@ class Servo:
         self._apply_session(now_ns)
 
     def _answer(self, command: Command, row: Row, now_ns: int) -> Reply:
+        measure = None if command.value is not None else self._readings.measured.get(row.name)
+        if measure is not None:
+            return Reply(self.servo_id, command.keyword, measure(now_ns))
         suffix = None
         if isinstance(command.value, int) and row.suffixes is not None:
             suffix = row.suffixes.get(command.value)
@@ -486,7 +489,7 @@ class Servo:
                 pass
 
     def _apply_frame(self) -> None:
-        self._motors.gyre[self.index] = self.settings.number("G") or 1
+        self._motors.gyre[self.index] = float(self.settings.number("G") or 1)
         self._motors.origin_deg[self.index] = self.settings.physical("O")
 
     def _apply_stiffness(self, now_ns: int) -> None:

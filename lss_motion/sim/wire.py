@@ -44,7 +44,7 @@ class HostLine:
         self._burst_ns = 0
         self._burst_bytes = 0
         self._free_ns = 0
-        self._partial = bytearray()
+        self._partial = b""
         self._clogs_ns: Sequence[tuple[int, int]] = ()
         self._outages_ns: Sequence[tuple[int, int]] = ()
         self.lines: deque[tuple[int, bytes]] = deque()
@@ -58,7 +58,7 @@ class HostLine:
     def set_rate(self, baud_bps: int) -> None:
         """Continue at another rate. The unfinished line is dropped: no servo can read it."""
         self._baud_bps = baud_bps
-        self._partial.clear()
+        self._partial = b""
         self._burst_bytes = 0
 
     def write(self, data: bytes, now_ns: int) -> None:
@@ -66,16 +66,20 @@ class HostLine:
         if now_ns > self._free_ns or not self._burst_bytes:
             self._burst_ns = now_ns
             self._burst_bytes = 0
+        partial = self._partial
+        if partial:
+            self._burst_bytes -= len(partial)  # It is counted again, with the end of its line.
+            data = partial + data
         *lines, rest = data.split(b"\r")
         for line in lines:
             self._burst_bytes += len(line) + 1
-            arrival_ns = self._arrival_ns()
-            if not self._is_lost(now_ns, arrival_ns):
-                self.lines.append((arrival_ns, bytes(self._partial) + line + b"\r"))
-            self._partial.clear()
-        self._burst_bytes += len(rest)
-        self._partial = (self._partial + rest)[-LINE_KEPT_BYTES:]
-        self._free_ns = self._arrival_ns()
+            self._free_ns = self._arrival_ns()
+            if not (self._outages_ns and self._is_lost(now_ns, self._free_ns)):
+                self.lines.append((self._free_ns, line + b"\r"))
+        self._partial = rest[-LINE_KEPT_BYTES:]
+        if rest:
+            self._burst_bytes += len(rest)
+            self._free_ns = self._arrival_ns()
 
     def backlog_ns(self, now_ns: int) -> int:
         """Return how long the bytes written so far still occupy the line."""
@@ -93,9 +97,8 @@ class HostLine:
         return at_ns + left_ns
 
     def _is_lost(self, now_ns: int, arrival_ns: int) -> bool:
-        outages_ns = self._outages_ns
-        return bool(outages_ns) and any(
-            from_ns < arrival_ns and now_ns < until_ns for from_ns, until_ns in outages_ns
+        return any(
+            from_ns < arrival_ns and now_ns < until_ns for from_ns, until_ns in self._outages_ns
         )
 
 
@@ -121,37 +124,40 @@ class ServoLine:
         self._read_bytes = 0
         """Bytes of the first of them that were read."""
         self._coming: list[tuple[int, int, int, int]] = []
+        """Bytes of the others: when each begins, its number, when it ends, and its value."""
         self._ends_ns: list[int] = []
+        """When each of the others ends."""
         self._count = 0
         self._current: tuple[int, int] | None = None
 
     def send(self, data: bytes, start_ns: int) -> int:
         """Let a servo send `data` from `start_ns` on; return when its last byte has arrived."""
-        while len(self._edges_ns) <= len(data):
+        size = len(data)
+        while len(self._edges_ns) <= size:
             self._edges_ns.append(line_time_ns(len(self._edges_ns), self._baud_bps))
-        end_ns = start_ns + self._edges_ns[len(data)]
-        heapq.heappush(self._ends_ns, end_ns)
+        end_ns = start_ns + self._edges_ns[size]
         is_clear = not self._whole or start_ns >= self._whole[-1][1]
         if is_clear and not self._coming and self._current is None and self._adapter.is_prompt:
             self._whole.append((start_ns, end_ns, data))
             return end_ns
         self._take_apart()
-        self._send_bytes(data, start_ns)
+        self._send_bytes(data, start_ns, end_ns)
         return end_ns
 
     def _take_apart(self) -> None:
         """Send what is left of the whole replies byte by byte."""
-        for start_ns, _, data in self._whole:
-            self._send_bytes(data, start_ns, self._read_bytes)
+        for start_ns, end_ns, data in self._whole:
+            self._send_bytes(data, start_ns, end_ns, self._read_bytes)
             self._read_bytes = 0
         self._whole.clear()
 
-    def _send_bytes(self, data: bytes, start_ns: int, skipped: int = 0) -> None:
-        """Send the bytes of a reply that begins at `start_ns`, but for the first `skipped` ones."""
+    def _send_bytes(self, data: bytes, start_ns: int, end_ns: int, skipped: int = 0) -> None:
+        """Send the bytes of a reply, but for the first `skipped` ones."""
+        heapq.heappush(self._ends_ns, end_ns)
         for number in range(skipped, len(data)):
             self._count += 1
-            begin_ns, end_ns = (start_ns + self._edges_ns[edge] for edge in (number, number + 1))
-            heapq.heappush(self._coming, (begin_ns, self._count, end_ns, data[number]))
+            begin_ns, until_ns = (start_ns + self._edges_ns[edge] for edge in (number, number + 1))
+            heapq.heappush(self._coming, (begin_ns, self._count, until_ns, data[number]))
 
     def time_ns(self, size_bytes: int) -> int:
         """Return how long so many bytes occupy the line."""
@@ -165,16 +171,24 @@ class ServoLine:
 
     def read(self, now_ns: int) -> bytes:
         """Return the bytes that arrived by `now_ns`. Replies that start until then must be sent."""
-        coming, current, adapter = self._coming, self._current, self._adapter
+        if self._ends_ns:
+            self._read_mixed(now_ns)
         while self._whole and self._whole[0][0] < now_ns:
             start_ns, end_ns, data = self._whole[0]
-            until = bisect_right(self._edges_ns, now_ns - start_ns, hi=len(data) + 1) - 1
-            adapter.take_all(self._edges_ns, start_ns, data, self._read_bytes, until)
-            self._read_bytes = until
-            if until < len(data):
-                break
-            self._whole.popleft()
-            self._read_bytes = 0
+            first, edges_ns = self._read_bytes, self._edges_ns
+            if end_ns <= now_ns:
+                self._whole.popleft()
+                self._read_bytes = 0
+                self._adapter.take_all(edges_ns, start_ns, data, first, len(data))
+                continue
+            self._read_bytes = bisect_right(edges_ns, now_ns - start_ns) - 1
+            self._adapter.take_all(edges_ns, start_ns, data, first, self._read_bytes)
+            break
+        return self._adapter.read(now_ns)
+
+    def _read_mixed(self, now_ns: int) -> None:
+        """Hand over the bytes of replies that are not whole."""
+        coming, current, adapter = self._coming, self._current, self._adapter
         while coming and coming[0][0] <= now_ns:
             begin_ns, _, end_ns, value = heapq.heappop(coming)
             if current is not None and begin_ns < current[0]:
@@ -189,7 +203,6 @@ class ServoLine:
         self._current = current
         while self._ends_ns and adapter.due_ns(self._ends_ns[0]) <= now_ns:
             heapq.heappop(self._ends_ns)
-        return adapter.read(now_ns)
 
     def _pair_end_ns(self) -> int:
         """Return when the first whole reply is complete, and the second if it follows at once."""
@@ -205,10 +218,10 @@ class ServoLine:
         Two replies that follow each other count as one: that saves the host a turn.
         With an adapter that sends packets: when the host gets it, or a full packet before it.
         """
-        if not self._ends_ns:
-            return None
         if self._whole:
             return self._pair_end_ns()
+        if not self._ends_ns:
+            return None
         due_ns = self._adapter.due_ns(self._ends_ns[0])
         room_bytes = self._adapter.room_bytes()
         is_under_way = self._current is not None
@@ -339,12 +352,25 @@ class Answering:
         self._race_ratio = corrupt_reply_ratio_of(firmware) if ratio is None else ratio
         self._race = Random(f"{seed}/race")
 
-    def send_each(self, received_ns: int, answers: Sequence[Answer]) -> None:
-        """Send every reply after its own turnaround; replies that overlap damage each other."""
+    def send(
+        self, received_ns: int, commands: Sequence[Command], answers: Sequence[Answer]
+    ) -> None:
+        """Send the replies to a line: each by itself, or those to a group together.
+
+        Each reply has its own turnaround; replies that overlap damage each other.
+        """
+        if self._is_ordered and len(commands) > 1:
+            is_to_all = [command.servo_id == BROADCAST_ID for command in commands]
+            if not any(is_to_all):
+                self._send_in_turn(received_ns, answers)
+                return
+            if all(is_to_all):
+                self._send_in_slots(received_ns, answers)
+                return
         for answer in answers:
             self._send((answer,), self._start_ns(answer, received_ns, 1))
 
-    def send_in_turn(self, received_ns: int, answers: Sequence[Answer]) -> None:
+    def _send_in_turn(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send the replies to a group line one after another, in its order (FACTS.md W17)."""
         start_ns = received_ns + self._turnaround.group_ns
         runs = [list(run) for _, run in groupby(answers, lambda answer: answer.talker)]
@@ -353,7 +379,7 @@ class Answering:
                 start_ns += self._turnaround.group_gap_ns
             start_ns = self._send_run(run, start_ns, is_last=run is runs[-1])
 
-    def send_in_slots(self, received_ns: int, answers: Sequence[Answer]) -> None:
+    def _send_in_slots(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send the replies to several queries to all servos, each servo's together."""
         runs: dict[Talker, list[Answer]] = {}
         for answer in answers:
@@ -397,26 +423,37 @@ class Answering:
                 slot_ns += self._line.time_ns(count * turnaround.slot_reply_bytes)
                 slot_ns *= servo.settings.number("SLOT")
                 return received_ns + turnaround.broadcast_ns + slot_ns
-        wait_ns = servo.random.randint(turnaround.single_min_ns, turnaround.single_max_ns)
-        return received_ns + wait_ns
+        spread_ns = turnaround.single_max_ns - turnaround.single_min_ns
+        bits = (spread_ns + 1).bit_length()
+        while (more_ns := servo.random.getrandbits(bits)) > spread_ns:
+            pass  # As `randint` draws, without its checks.
+        return received_ns + turnaround.single_min_ns + more_ns
 
     def _send(self, answers: Sequence[Answer], start_ns: int, *, has_end: bool = True) -> int:
         """Send replies of one sender together, after its last ones; return when they end."""
-        talker, servo_id, _, _ = answers[0]
-        sender = self._faults.sender(servo_id, start_ns)
-        replies = [answer.reply for answer in answers]
-        if sender != servo_id:
-            replies = [
-                reply._replace(servo_id=sender) if reply.servo_id == servo_id else reply
-                for reply in replies
-            ]
-        data = encode_joined(replies) if len(replies) > 1 else encode(replies[0])
+        talker, servo_id, _, reply = answers[0]
+        faults, sender = self._faults, servo_id
+        if faults.wrong_ids:
+            sender = faults.sender(servo_id, start_ns)
+        if sender == servo_id and len(answers) == 1:
+            data = encode(reply)
+        else:
+            data = encode_joined([_sent_by(sender, answer) for answer in answers])
         if not has_end:
             data = data.removesuffix(b"\r")
         if self._race_ratio and isinstance(talker, Servo):
-            ratio = self._race_ratio * (CORRUPT_SERIAL_RATIO if replies[0].keyword == "QN" else 1.0)
+            ratio = self._race_ratio * (CORRUPT_SERIAL_RATIO if reply.keyword == "QN" else 1.0)
             if self._race.random() < ratio:
                 data = damaged(data, self._race)
-        for piece, begin_ns in self._faults.sent(servo_id, data, start_ns):
+        pieces = [(data, start_ns)]
+        if faults.about_replies:
+            pieces = faults.sent(servo_id, data, start_ns)
+        for piece, begin_ns in pieces:
             talker.sent_ns = self._line.send(piece, max(begin_ns, talker.sent_ns))
         return max(start_ns, talker.sent_ns)
+
+
+def _sent_by(sender: int, answer: Answer) -> Reply:
+    """Return the reply with the id of `sender` in place of that of its own sender."""
+    reply = answer.reply
+    return reply._replace(servo_id=sender) if reply.servo_id == answer.servo_id else reply

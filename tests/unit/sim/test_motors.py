@@ -66,7 +66,7 @@ def test_the_horn_trails_a_steady_speed_by_the_lag(make_host):
     first_deg = host.horn_deg()
     host.wait_s(0.5)
     assert host.horn_deg() - first_deg == pytest.approx(50.0, abs=1e-6)
-    profile_deg = host.bus.motors.horns.profile_deg(0, host.now_ns)
+    profile_deg = host.bus.motors.horns.profile_at(0, host.now_ns)[0]
     assert profile_deg - host.horn_deg() == pytest.approx(100.0 * 0.03, abs=1e-6)
 
 
@@ -222,7 +222,7 @@ def test_a_stiffer_servo_trails_less(make_host):
         host.say(f"#5AS{stiffness}")
         host.say("#5WD1000")
         host.wait_s(1.0)
-        return host.bus.motors.horns.profile_deg(0, host.now_ns) - host.horn_deg()
+        return host.bus.motors.horns.profile_at(0, host.now_ns)[0] - host.horn_deg()
 
     assert behind_deg(0) == pytest.approx(3.0, abs=1e-3)
     assert behind_deg(2) == pytest.approx(3.0 / 1.1**2, abs=1e-3)
