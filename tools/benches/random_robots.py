@@ -2,10 +2,13 @@
 
 tools/run tools/benches/random_robots.py                 100 seeds
 tools/run tools/benches/random_robots.py --from 40 --seeds 1
+tools/run tools/benches/random_robots.py --bounds        robots as assumed, against their bound
 
 Show, robot and deviation come from the seed. Each show is played with feedback and without, from
 the same phase of the control loops (`in_phase`), and judged at the horns alone: no judgement is
-shared with the estimators or with the bench `robust`, whose table knows its shows by name.
+shared with the estimators or with the bench `robust`, whose table knows its shows by name. With
+`--bounds` each show is played without feedback on servos as assumed, and each horn is compared with
+the bound that `check` predicts for it.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: 
 from benches.shows import robot_of  # noqa: E402
 from lss_motion import api  # noqa: E402
 from lss_motion.errors import InputError  # noqa: E402
+from lss_motion.perform import perform  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
 from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
@@ -55,6 +59,8 @@ LIMIT_RATIO: Final = 1.1
 LIMIT_STREAMED: Final = 1.25
 """Setpoints have room for the steps of their units. Where gears have play, the shaft is hit, and no
 acceleration is judged."""
+ROUNDED_DEG: Final = 0.001
+"""A report rounds angles to this."""
 STEP_S: Final = 0.01
 SEEDS_LOST: Final = 3
 """Which commands are lost is luck, so several runs are judged together."""
@@ -284,16 +290,49 @@ def judged(case: Case) -> tuple[str, list[str]]:
     return line, found
 
 
+def within_bounds(cases: Iterator[Case]) -> int:
+    """Compare horns on servos as assumed with their predicted bounds; return 1 if one is beyond."""
+    ratios: list[float] = []
+    for case in cases:
+        program = api.compile(case.trajectory, case.robot)
+        result = perform(
+            program,
+            case.robot,
+            is_virtual=True,
+            has_feedback=False,
+            seed=case.seed,
+            trajectory=case.trajectory,
+        )
+        for name, bound_deg in program.bound_deg.items():
+            error_deg = result.report.joints[name].horn_error_max_deg or 0.0
+            ratios.append(error_deg / (bound_deg + ROUNDED_DEG))
+            if ratios[-1] > 1.0:
+                print(f"{case.seed} {name}: {error_deg:.3f} deg, bound {bound_deg:.3f}", flush=True)
+    beyond = sum(ratio > 1.0 for ratio in ratios)
+    print(
+        f"{beyond} of {len(ratios)} joints beyond their bound; horns at {np.median(ratios):.2f} of "
+        f"it (median), at most {max(ratios):.2f}"
+    )
+    return 1 if beyond else 0
+
+
 def main() -> int:
-    """Play the seeds; return 1 if feedback did harm."""
-    parser = argparse.ArgumentParser(prog="tools/benches/random_robots.py", description=__doc__)
+    """Play the seeds; return 1 if feedback did harm, or a horn was beyond its bound."""
+    parser = argparse.ArgumentParser(
+        prog="tools/benches/random_robots.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--seeds", type=int, default=100, metavar="N")
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED")
+    parser.add_argument("--bounds", action="store_true", help="robots as assumed, no feedback")
     arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    cases = filter(None, map(case_of, seeds))
+    if arguments.bounds:
+        return within_bounds(cases)
     failed = played = 0
-    for seed in range(arguments.first, arguments.first + arguments.seeds):
-        if (case := case_of(seed)) is None:
-            continue
+    for case in cases:
         line, found = judged(case)
         played, failed = played + 1, failed + bool(found)
         print(f"{line} {'; '.join(found)}", flush=True)
