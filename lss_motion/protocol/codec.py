@@ -10,7 +10,7 @@ The module also lists the settings that a servo keeps without power (`storable`)
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
@@ -186,11 +186,19 @@ def read_reply(
 
 def reply_number(language: Family | Language, reply: Reply) -> float | None:
     """Return the number in a reply as `read_reply` does, faster; None: `read_reply` has none."""
-    found = language_table(language).by_keyword.get(reply.keyword)
-    if found is None or found[0] is not Form.QUERY or not isinstance(reply.value, int):
+    row = _number_row(language, reply.keyword)
+    if row is None or not isinstance(reply.value, int):
         return None
-    row = found[1]
-    return row.physical(reply.value) if _is_readable(row.reply_shape, reply.value) else None
+    return row.physical(reply.value)
+
+
+@lru_cache(maxsize=256)
+def _number_row(language: Family | Language, keyword: str) -> Row | None:
+    """Return the row of a query that is answered with a number."""
+    form, row = language_table(language).by_keyword.get(keyword, (None, None))
+    if form is not Form.QUERY or row is None or not _is_readable(row.reply_shape, 0):
+        return None
+    return row
 
 
 def identify_reply(family: Family, servo_id: int, queried_id: int, *, firmware: int) -> Reply:

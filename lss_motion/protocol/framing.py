@@ -160,16 +160,8 @@ class CommandParser(_SectionParser):
         self._rest = b""
         items: list[Command | Garbage] = []
         for match in _COMMAND_PIECE.finditer(data):
-            servo_id, keyword, value, duration_ms = match.groups()
-            if servo_id is not None:
-                items.append(
-                    Command(
-                        int(servo_id),
-                        str(keyword, "ascii").upper(),
-                        None if value is None else int(value),
-                        () if duration_ms is None else (("T", int(duration_ms)),),
-                    )
-                )
+            if match[1] is not None:
+                items.append(_common_command(*match.groups()))
                 continue
             items.extend(self._section(data, match, b"#", _commands))
         return items
@@ -203,6 +195,9 @@ def commands_in(line: bytes, *, grouped: bool) -> tuple[Command, ...]:
 
     The lines of queries are few, and come all the time, so they are kept.
     """
+    match = _COMMAND_PIECE.fullmatch(line)
+    if match is not None and match[1] is not None:
+        return (_common_command(*match.groups()),)
     items = CommandParser(grouped=grouped).feed(line)
     return tuple(item for item in items if isinstance(item, Command))
 
@@ -228,6 +223,18 @@ _REPLY_TEXT: Final = re.compile(rb"(%b)([ -~]*)" % "|".join(TEXT_REPLIES).encode
 _REPLY_DISABLED: Final = re.compile(rb"(Q[A-Z]+)(%b)" % DISABLED.encode())
 _REPLY_CHANNELS: Final = re.compile(rb"(QA)((?:,[0-9]+)+)")
 _REPLY_PART: Final = re.compile(rb"([A-Z]+)(-?[0-9]+(?:\.[0-9]+)*)?")
+
+
+def _common_command(
+    servo_id: bytes, keyword: bytes, value: bytes | None, duration_ms: bytes | None
+) -> Command:
+    """Return the command of a common line, from what the first alternative has found."""
+    return Command(
+        int(servo_id),
+        str(keyword, "ascii").upper(),
+        None if value is None else int(value),
+        () if duration_ms is None else (("T", int(duration_ms)),),
+    )
 
 
 def _commands(piece: bytes) -> list[Command]:

@@ -78,19 +78,23 @@ def trapezoid(
     stop_deg = position + speed * abs(speed) / (2.0 * ramp_deg_s2)
     sign = 1.0 if target_deg >= stop_deg else -1.0
     distance, v0 = sign * (target_deg - position), sign * speed
-    peak = min(travel_deg_s, (max(0.0, ramp_deg_s2 * distance + 0.5 * v0 * v0)) ** 0.5)
-    ramp_in_s = abs(peak - v0) / ramp_deg_s2
+    square = ramp_deg_s2 * distance + 0.5 * v0 * v0
+    reachable = square**0.5 if square > 0.0 else 0.0
+    peak = min(reachable, travel_deg_s)
+    is_faster = peak >= v0
+    ramp_in_s = (peak - v0 if is_faster else v0 - peak) / ramp_deg_s2
     ramp_out_s = peak / ramp_deg_s2
-    covered = 0.5 * (v0 + peak) * ramp_in_s + 0.5 * peak * ramp_out_s
-    cruise_s = max(0.0, distance - covered) / peak if peak > 0.0 else 0.0
+    cruised = distance - (0.5 * (v0 + peak) * ramp_in_s + 0.5 * peak * ramp_out_s)
+    cruise_s = cruised / peak if cruised > 0.0 < peak else 0.0
 
     pieces: list[Piece] = []
     now = start.start_s
-    accel_in = sign * ramp_deg_s2 * (1.0 if peak >= v0 else -1.0)
+    accel_in = sign * ramp_deg_s2 if is_faster else -sign * ramp_deg_s2
     for duration_s, accel in ((ramp_in_s, accel_in), (cruise_s, 0.0)):
         if duration_s > 0.0:
             pieces.append(Piece(now, position, speed, accel))
-            position, speed = pieces[-1].at(now + duration_s)
+            passed_s = now + duration_s - now  # As instants are rounded.
+            position += passed_s * (speed + 0.5 * accel * passed_s)
             now += duration_s
             speed = sign * peak
     if ramp_out_s > 0.0:
@@ -175,18 +179,18 @@ class Profile:
         start = self.state(received_s)
         travel = self._speed_max_deg_s
         if duration_s is not None and target_deg != start.position_deg:
-            travel = min(
-                travel,
-                travel_speed(start, target_deg, duration_s, self.ramp_deg_s2, self._response),
-            )
-        while self._pieces and self._pieces[-1].start_s >= received_s:
-            self._pieces.pop()
-        self._pieces += trapezoid(start, target_deg, travel, self.ramp_deg_s2)
+            asked = travel_speed(start, target_deg, duration_s, self.ramp_deg_s2, self._response)
+            travel = min(travel, asked)
+        pieces = self._pieces
+        while pieces and pieces[-1].start_s >= received_s:
+            pieces.pop()
+        pieces += trapezoid(start, target_deg, travel, self.ramp_deg_s2)
 
     def forget_before(self, time_s: float) -> None:
         """Drop history that ends before `time_s`, so that memory stays bounded."""
-        while len(self._pieces) > 1 and self._pieces[1].start_s <= time_s:
-            del self._pieces[0]
+        pieces = self._pieces
+        while len(pieces) > 1 and pieces[1].start_s <= time_s:
+            del pieces[0]
 
     def pieces(self) -> Iterator[Piece]:
         return iter(self._pieces)
