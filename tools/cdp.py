@@ -82,7 +82,9 @@ class Browser:
         self._ids = count(1)
         self._pages: dict[str, Page] = {}
         self._stack = contextlib.ExitStack()
-        linked = connect(self._address(), max_size=None, compression=None)
+        # No pings: their thread takes from the global random numbers, which Hypothesis notices in
+        # tests of the same process. A browser that is gone closes the socket.
+        linked = connect(self._address(), max_size=None, compression=None, ping_interval=None)
         self._socket = self._stack.enter_context(linked)
 
     def __enter__(self) -> Self:
