@@ -7,6 +7,7 @@ tools/run tools/check.py lint types only these steps
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import shutil
 import subprocess
@@ -33,7 +34,10 @@ ALONE_MAX = 4
 
 def main(names: list[str]) -> int:
     """Run the named steps, or all; return 1 if one failed."""
+    # Hundreds of processes import the package. Without bytecode each one compiles it again.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     # The steps of a group run at the same time; the tests have both processors of a small machine.
+    # `collect` leaves the bytecode of all tests, so that it is not made by each worker of `tests`.
     groups: list[dict[str, Callable[[], bool]]] = [
         {
             "format": lambda: _run("ruff", "format", "--check", "--quiet", "."),
@@ -42,6 +46,7 @@ def main(names: list[str]) -> int:
             "imports": lambda: _run("lint-imports", "--no-cache") and _obeys(import_cycles),
             "size": lambda: _obeys(sizes),
             "prose": lambda: _obeys(prose, citations),
+            "collect": lambda: _run("pytest", "-n0", "--collect-only", "-qq"),
         },
         {"tests": _tests},
         {"readme": _readme, "guides": _guides},
