@@ -44,7 +44,8 @@ ACTING = (">", "raw", "rate", "pulse")
 
 def rows_of(document: str) -> list[dict[str, Any]]:
     text = (Path(__file__).parent / "sentences" / f"{document}.yaml").read_text(encoding="utf-8")
-    rows: list[dict[str, Any]] = yaml.safe_load(text)
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # Every worker reads this.
+    rows: list[dict[str, Any]] = yaml.load(text, Loader=loader)
     return rows
 
 

@@ -12,7 +12,8 @@ from campaign.stale import lawless_ns
 from lss_motion.player import checks, handshake, joint_state, streamer
 from lss_motion.sim.faults import Fault, FaultKind
 
-SEEDS, CHUNKS = range(200), 20
+SEEDS, CHUNKS = range(80), 8
+"""Each kind of fault comes at least three times; `tools/fuzz.py` plays thousands."""
 FOUND_BPS = 19_200
 FOUND = (
     46,  # A servo that restarted on the way to the start was driven without its limits.
@@ -48,9 +49,9 @@ FOUND_ANY = (
 
 MIXED = range(2, 12)
 FOUND_MIXED = (
-    12, 28, 64, 75, 176, 214,  # A servo with another gyre or origin than the file played mirrored.
-    17, 271,  # The same with the gyre of an RC servo.
-    62, 202, 409, 459,  # It left its range.
+    12, 176,  # A servo with another gyre or origin than the file played mirrored.
+    17,  # The same with the gyre of an RC servo.
+    62, 409,  # It left its range.
     27,  # After a stall of 30 s a horn went at 202 deg/s of 180.
     37,  # After a stall an RC servo got 13 moves in 0.1 s.
     57,  # A bare D led a restarted servo over 54 degrees at its factory speed.
@@ -69,8 +70,8 @@ FOUND_MIXED = (
     2661,  # A guiding target used the tolerance of a full line: four times the acceleration.
     6117,  # Lines of a joint in EM0 waited at a blocked port for 50 ms.
     2093,  # A late host left the filter of a joint in EM0 without a target: it brakes by itself.
-    575, 1554,  # A short restart that no query met: a few moves for a servo in full motion.
-    1216, 1517, 1750,  # It took an unknown top speed for none, and an RC servo for one with O.
+    575,  # A short restart that no query met: a few moves for a servo in full motion.
+    1216, 1517,  # It took an unknown top speed for none, and an RC servo for one with O.
     355,  # What a step of the filter adds was counted as an acceleration.
     3923, 11121,  # Guiding targets left at other instants than the program's: a filter starved.
     6603,  # Garbled lines put a horn out of its range, and corrections led it out again.
@@ -80,7 +81,7 @@ FOUND_MIXED = (
     45651,  # Every joint was left out: the approach of no joint raised.
     41748,  # A move was on a line of 9600 bps when its servo restarted.
     20915,  # A joint in EM0 went 2 % too fast; by chance, with other instants.
-    40059, 40379, 40567, 42065, 48953, 49835,  # Targets in EM0 came unevenly: a filter brakes.
+    40059, 42065,  # Targets in EM0 came unevenly: a filter brakes.
     40565,  # The same while the rate of the show changed.
     45173,  # A joint in EM0 restarted, and was read too late.
     61022,  # Each answer came after it was given up, so joints were held back to the end.

@@ -164,12 +164,12 @@ def test_marks_are_passed_once_each_in_order(stage, kit):
     assert passed == [keyframe.label for keyframe in sequence.keyframes]
 
 
-def test_a_show_of_a_minute_with_eighteen_joints_fits_the_line_and_the_horns(stage, kit):
-    robot = kit.robot(18, baud_bps=FAST_BPS)
-    played = stage.play(robot, kit.sequence(18, 60.0, step_s=(0.8, 1.6)))
+def test_a_show_with_eighteen_joints_fits_the_line_and_the_horns(stage, kit):
+    robot, show_s = kit.robot(18, baud_bps=FAST_BPS), 20.0
+    played = stage.play(robot, kit.sequence(18, show_s, step_s=(0.8, 1.6)))
     assert played.report.outcome == "finished"
     assert played.report.timing.missed == 0
-    assert played.report.timing.commands > 3000
+    assert played.report.timing.commands > 50 * show_s
     assert played.report.buses["bus0"].query_rate_hz > 300
     assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.3
     assert_ended_safely(played, robot)
