@@ -6,13 +6,12 @@ The player makes legs (`player.show_clock`); the process that plays sounds is to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lss_motion.units import NS_PER_S
 
 
-@dataclass(frozen=True, slots=True)
-class ClockLeg:
+class ClockLeg(Struct, frozen=True):
     """From `start_ns` the rate changes evenly from `from_rate` to `to_rate` over `ramp_ns`.
 
     Before `start_ns` the rate is `from_rate`. The trim makes the show faster by `trim_ratio`, to

@@ -10,8 +10,9 @@ port is opened with pyserial, including the pseudo-terminal of `lss-motion sim`.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from typing import TYPE_CHECKING, Any, Final, Self
+
+from msgspec.structs import replace
 
 from lss_motion.errors import BlockedPortError, BusError, InputError, LostPortError
 from lss_motion.maintenance.discovery import Pause
@@ -70,8 +71,8 @@ def with_port(robot: Robot, port: str | None) -> Robot:
             f"ports into the robot file",
             path=robot.path,
         )
-    buses = {name: dataclasses.replace(bus, port=port) for name, bus in robot.buses.items()}
-    return dataclasses.replace(robot, buses=buses)
+    buses = {name: replace(bus, port=port) for name, bus in robot.buses.items()}
+    return replace(robot, buses=buses)
 
 
 def is_simulated(robot: Robot) -> bool:
@@ -240,7 +241,7 @@ class Connection:
     def set_baud(self, bus_name: str, baud_bps: int) -> None:
         """Change the rate of one bus; raises `BusError` if the port does not accept it."""
         self.ports.pop(bus_name).close()
-        self.buses[bus_name] = dataclasses.replace(self.buses[bus_name], baud_bps=baud_bps)
+        self.buses[bus_name] = replace(self.buses[bus_name], baud_bps=baud_bps)
         if (sim_bus := self.simulated.get(bus_name)) is not None:
             sim_bus.set_host_rate(baud_bps, self.clock.now_ns())
         self.reopen(bus_name)

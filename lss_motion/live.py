@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-from dataclasses import replace
 from typing import TYPE_CHECKING, Self, TypeVar
+
+from msgspec.structs import replace
 
 from lss_motion import connection as connections
 from lss_motion.api import compile, is_simulated, plan, with_port  # noqa: A004

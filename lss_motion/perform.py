@@ -9,9 +9,10 @@ fails on the way. `Observer` has the callbacks through which a caller watches an
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
 
 from lss_motion.connection import connect, is_simulated
 from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
@@ -46,21 +47,22 @@ if TYPE_CHECKING:
     from lss_motion.truth import Truth
 
 
-@dataclass(frozen=True, kw_only=True)
-class Result:
+class Result(Struct, frozen=True, kw_only=True):
     """A run that has ended: its report, its player, and the horns if they are simulated."""
 
     report: Report
-    player: Player = field(repr=False)
-    truth: Truth | None = field(default=None, repr=False)
+    player: Player
+    truth: Truth | None = None
     error: LssMotionError | None = None
     """Why the run could not begin or go on: `BusError`, `InputError` or `PlaybackError`."""
-    simulated: Mapping[str, SimBus] = field(default_factory=dict, repr=False)
+    simulated: Mapping[str, SimBus] = field(default_factory=dict)
     """The simulated buses by name, with every byte that they received and every horn angle."""
 
+    def __repr__(self) -> str:
+        return f"Result({self.report!r}, error={self.error!r})"
 
-@dataclass(frozen=True, kw_only=True)
-class Observer:
+
+class Observer(Struct, frozen=True, kw_only=True):
     """Callbacks that watch and steer a run. They must not block: they run between two commands."""
 
     on_event: Callable[[Event], None] | None = None

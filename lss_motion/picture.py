@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import io
 import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.output import write_output
@@ -89,16 +89,14 @@ def draw_curve(axis: Any, times_s: FloatArray, values: FloatArray, color: str) -
     axis.fill_between(at_s, low, high, color=color, linewidth=0.8)
 
 
-@dataclass(frozen=True, slots=True)
-class Instant:
+class Instant(Struct, frozen=True):
     """Something that happens at a time of a show, with the text that stands there."""
 
     at_s: float
     text: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Timeline:
+class Timeline(Struct, frozen=True):
     """What happens in a show: keyframes, anchors, holds (from, to) and events."""
 
     keyframes: tuple[Instant, ...] = ()

@@ -9,10 +9,11 @@ it meets take the real steps of `on_fault`.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct, to_builtins
+from msgspec.structs import replace
 
 from lss_motion.connection import SIMULATED, with_port
 from lss_motion.files.source import counted
@@ -73,8 +74,7 @@ AFTER_PUSH_S: Final = 1.0
 WATCH_NS: Final = 20 * NS_PER_MS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class Trial(Struct, frozen=True, kw_only=True):
     """One run. Angles are None if no show was played, the standing error also without a hold."""
 
     sim: str
@@ -323,5 +323,5 @@ def robust_as_json(found: Sequence[Trial], duration_s: float) -> dict[str, Any]:
         "simulated": True,
         "judged_s": min(duration_s, PLAYED_S),
         "is_whole": duration_s <= PLAYED_S,
-        "robots": [asdict(one) | {"stops_the_show": one.is_stopped} for one in found],
+        "robots": [to_builtins(one) | {"stops_the_show": one.is_stopped} for one in found],
     }

@@ -56,7 +56,16 @@ MAKERS: Final = (
 )
 """The packages, beside the modules of the top folder, that make a show of files."""
 
-LIBRARIES: Final = ("clarabel", "numpy", "pydantic", "pydantic_core", "scipy", "toppra", "yaml")
+LIBRARIES: Final = (
+    "clarabel",
+    "msgspec",
+    "numpy",
+    "pydantic",
+    "pydantic_core",
+    "scipy",
+    "toppra",
+    "yaml",
+)
 """The packages of others that do."""
 
 _VALUES: Final = tuple(
@@ -65,6 +74,7 @@ _VALUES: Final = tuple(
 )
 _OTHER_VALUES: Final = frozenset(
     {
+        ("msgspec._utils", "rebuild"),  # of a Struct with keywords, from its class and fields
         ("numpy", "dtype"),
         ("numpy._core.numeric", "_frombuffer"),
         ("pathlib", "PosixPath"),

@@ -5,11 +5,12 @@ A file is a sequence, a gait or a program that was compiled before.
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.files.source import read_text
@@ -44,8 +45,7 @@ feedback, nine patterns with two seeds each: feet slip at most 0.32 mm of the 0.
 0.05 deg they slip 0.36 mm, and a quarter fewer commands are sent."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Show:
+class Show(Struct, frozen=True, kw_only=True):
     """A program ready to play. `trajectory` and `sequence` are None if it was compiled before."""
 
     robot: Robot
@@ -207,14 +207,14 @@ def with_headroom(robot: Robot, *, accel: bool = True) -> Robot:
     """Return the robot with lower limits, for a show that a leader may speed up a little."""
     ratio = 1.0 - HEADROOM_RATIO
     joints = {
-        name: dataclasses.replace(
+        name: replace(
             joint,
             speed_max_deg_s=ratio * joint.speed_max_deg_s,
             accel_max_deg_s2=(ratio if accel else 1.0) * joint.accel_max_deg_s2,
         )
         for name, joint in robot.joints.items()
     }
-    return dataclasses.replace(robot, joints=joints)
+    return replace(robot, joints=joints)
 
 
 def walks(sequence: Sequence) -> bool:
@@ -238,10 +238,10 @@ def planned(
     from lss_motion.trajectory.planner import plan
 
     if loop is not None:
-        sequence = dataclasses.replace(sequence, loop=None if loop == "forever" else int(loop))
+        sequence = replace(sequence, loop=None if loop == "forever" else int(loop))
         check_sequence(sequence, robot)
     speed_ratio *= sequence.speed_ratio
-    return plan(dataclasses.replace(sequence, speed_ratio=speed_ratio), robot)
+    return plan(replace(sequence, speed_ratio=speed_ratio), robot)
 
 
 def recheck(show: Show) -> None:

@@ -6,8 +6,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
 
 from lss_motion.connection import connect
 from lss_motion.errors import BusError, InputError, LssMotionError
@@ -43,15 +44,17 @@ if TYPE_CHECKING:
     from lss_motion.sim.faults import Fault
 
 
-@dataclass(frozen=True, kw_only=True)
-class StageResult:
+class StageResult(Struct, frozen=True, kw_only=True):
     """A run that has ended: its report, its player, and the simulated buses if there are any."""
 
     report: StageReport
-    player: StagePlayer = field(repr=False)
+    player: StagePlayer
     error: LssMotionError | None = None
     """Why the run could not begin or go on."""
-    simulated: Mapping[str, SimBus] = field(default_factory=dict, repr=False)
+    simulated: Mapping[str, SimBus] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"StageResult({self.report!r}, error={self.error!r})"
 
 
 def perform_stage(  # noqa: PLR0913  (the options of one run)

@@ -7,9 +7,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, to_builtins
 
 from lss_motion.errors import InputError
 from lss_motion.runtime.sound_choice import RATE_BAND
@@ -56,8 +57,7 @@ FULL_RATIO: Final = 0.995
 """From this share on, a limit counts as fully used: planning leaves about a thousandth free."""
 
 
-@dataclass(frozen=True, slots=True)
-class LimitUse:
+class LimitUse(Struct, frozen=True):
     """The largest speed and acceleration of a joint, and their times."""
 
     joint: Joint
@@ -490,10 +490,10 @@ def show_as_json(show: Show) -> dict[str, Any]:
         "duration_s": program.duration_s if trajectory is None else trajectory.duration_s,
         "tolerance_deg": program.tolerance_deg,
         "joints": joints,
-        "stretched": [asdict(stretch) for stretch in program.stretched],
-        "given_up": [asdict(span) for span in program.given_up],
+        "stretched": to_builtins(program.stretched),
+        "given_up": to_builtins(program.given_up),
         **_late_as_json(trajectory),
-        "smoothing": [] if trajectory is None else [asdict(own) for own in smoothings(trajectory)],
+        "smoothing": [] if trajectory is None else to_builtins(smoothings(trajectory)),
         "ease_advice": [
             {
                 "name": advice.name,
@@ -504,7 +504,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
             }
             for advice in advice_of(show)
         ],
-        "buses": {name: asdict(use) for name, use in program.line_use.items()},
+        "buses": to_builtins(program.line_use),
         "functions": [
             {"run": call.run, "files": [str(file) for file in call.files], "count": call.count}
             for call in calls_of(program.cues)

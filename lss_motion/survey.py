@@ -7,8 +7,9 @@ of two servos with the same id are noticed.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -156,10 +157,10 @@ def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCon
     items = [item for p in found if p.is_single for item in discovery.questions(bus_name, p)]
     answers = connection.ask(items)
     looks = [discovery.read_condition(bus_name, baud_bps, present, answers) for present in found]
-    looks = [dataclasses.replace(seen, unasked=unasked.replies[seen.servo_id]) for seen in looks]
+    looks = [replace(seen, unasked=unasked.replies[seen.servo_id]) for seen in looks]
     causes = connection.ask(discovery.cause_questions(looks))
     return [
-        dataclasses.replace(seen, cause=discovery.read_cause(seen, causes))
+        replace(seen, cause=discovery.read_cause(seen, causes))
         if (bus_name, seen.servo_id, "Q") in causes
         else seen
         for seen in looks

@@ -11,10 +11,10 @@ import io
 import itertools
 import math
 import tempfile
-from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.files.output import write_output
 from lss_motion.units import NS_PER_MS, NS_PER_S
@@ -38,13 +38,15 @@ BEHIND_NS: Final = 5 * NS_PER_S
 instant, but none that is longer ago."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Truth:
+class Truth(Struct, frozen=True, kw_only=True):
     """The angles of the simulated horns: joint degrees, (n, joints), at show times."""
 
-    times_s: NDArray[np.float64] = field(repr=False)
+    times_s: NDArray[np.float64]
     joints: tuple[str, ...]
-    horn_deg: NDArray[np.float64] = field(repr=False)
+    horn_deg: NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        return f"Truth({len(self.times_s)} samples of {', '.join(self.joints)})"
 
 
 class TruthRecorder:

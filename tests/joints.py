@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from lss_motion.robot.model import Joint
 from lss_motion.robot.servo_models import SERVO_MODELS

@@ -22,10 +22,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import asdict
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -122,9 +123,8 @@ def _tell(seed: int, result: Judged, again: str) -> None:
 
 def _row(fault: Fault) -> str:
     """Return a fault as a row of a faults file: what differs from the defaults."""
-    values = {field.name: getattr(fault, field.name) for field in fields(fault)}
-    plain = Fault(kind=fault.kind, until_s=fault.until_s)
-    row = {name: value for name, value in values.items() if value != getattr(plain, name)}
+    plain = asdict(Fault(kind=fault.kind, until_s=fault.until_s))
+    row = {name: value for name, value in asdict(fault).items() if value != plain[name]}
     return f"{fault.kind} until {fault.until_s:g} s {row}"
 
 

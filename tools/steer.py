@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from local_planner import LocalPlanner
+from msgspec.structs import replace
 
 from lss_motion import shows
 from lss_motion.gait.kinematics import forward

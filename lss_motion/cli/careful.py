@@ -8,9 +8,10 @@ one: nothing is kept of it.
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.cli.messages import ended_by, put
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError, PlaybackError

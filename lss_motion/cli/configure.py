@@ -236,7 +236,7 @@ def _targets(
     connection: Connection, robot: Robot | None, arguments: argparse.Namespace
 ) -> list[Target]:
     """Return the chosen servos; each of them has replied."""
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from lss_motion.cli.servo_settings import targets_at
     from lss_motion.robot.servo_models import model_mismatch_text

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import to_builtins
 
 from lss_motion.cli.commands import (
     PORT_HELP,
@@ -100,7 +101,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
         findings += more
     width = max(len(finding.subject) for finding in findings)
     if arguments.json:
-        print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})
+        print_json({"findings": to_builtins(findings)})
     for finding in [] if arguments.json else findings:
         print(f"{finding.level:4}  {finding.subject:{width}}  {finding.text}")
         if finding.fix:
@@ -140,7 +141,7 @@ def _stage(arguments: argparse.Namespace) -> int:
         finally:
             host.close()
     if arguments.json:
-        print_json({"rows": [dataclasses.asdict(row) for row in rows]})
+        print_json({"rows": to_builtins(rows)})
     else:
         widths = [max(len(getattr(row, key)) for row in rows) for key in ("figure", "subject")]
         for row in rows:
@@ -211,7 +212,7 @@ def _devices(arguments: argparse.Namespace) -> int:
     except NoDeviceError as error:
         raise InputError(str(error)) from error
     if arguments.json:
-        print_json({"devices": [dataclasses.asdict(device) for device in found]})
+        print_json({"devices": to_builtins(found)})
         return EXIT_FINISHED
     width = max((len(device.name) for device in found), default=0)
     for device in found:

@@ -195,7 +195,7 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
 
 def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Target]:
     """Return the targets with the firmware that they report; the codes of a status depend on it."""
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from lss_motion.player.transactions import Item
     from lss_motion.protocol.constants import Family

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.cli.commands import (
     SIMULATED_NOTE,
@@ -223,7 +224,7 @@ def _write_starter(path: Path, bus: Bus, looks: Sequence[ServoCondition]) -> Non
 
     rates = [look.baud_bps for look in looks]
     main_bps = max(rates, key=rates.count) if rates else bus.baud_bps
-    text = starter_file(path.stem, dataclasses.replace(bus, baud_bps=main_bps), looks)
+    text = starter_file(path.stem, replace(bus, baud_bps=main_bps), looks)
     if text is None:
         raise BusError("no robot file was written: no servo has an id of its own")
     write_output(path, text)

@@ -160,7 +160,7 @@ def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
 
 def _sources(stage: Stage, figure: str) -> Sources:
     """Return what opens the triggers at a figure, in a thread of their own."""
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     with served.needing(INSTALL):
         from lss_motion.studio.inlets import inlets_thread, require_packages

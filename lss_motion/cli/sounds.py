@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 
@@ -24,7 +25,7 @@ def with_kept_offset(robot: Robot) -> Robot:
         kept_s = load_learnt(robot).sound_offset_s
     except InputError:  # `careful.Learning` has named what is wrong with the file.
         return robot
-    return dataclasses.replace(robot, sound_offset_s=kept_s) if kept_s else robot
+    return replace(robot, sound_offset_s=kept_s) if kept_s else robot
 
 
 def offset_lines(robot: Robot, sound: SoundChoice) -> list[str]:

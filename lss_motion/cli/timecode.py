@@ -145,7 +145,7 @@ def opened(
     if follow is None and not sends:
         yield Link(None, [])
         return
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from lss_motion.player.following import FollowRule, require_can_follow
     from lss_motion.sync.source import TimecodeOut, TimecodeSource

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.cli.careful import CAREFUL_HELP, CAREFUL_RATE, Learning, careful_run
 from lss_motion.cli.commands import (

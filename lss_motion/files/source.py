@@ -1,4 +1,4 @@
-"""Reads text files with a bound on their size, and makes texts for error messages.
+"""Reads text files with a bound on their size; values with their place; texts of error messages.
 
 Every failure is an `InputError` with the path and, where there is one, the line.
 """
@@ -8,7 +8,9 @@ from __future__ import annotations
 import difflib
 import math
 import stat
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, ClassVar, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.record import note_content
@@ -25,6 +27,27 @@ RECORDING_MAX_BYTES: Final = 64_000_000
 """The most that is read of a recording, a report or a table. Ten minutes of 20 joints at 100 Hz are
 42 MB in the longest format (pypot). Measured: 50 MB of CSV need 0.2 to 0.6 GB of memory, 50 MB of
 JSON 0.6 GB, and 1 GB in the worst case."""
+
+
+class Located(Struct, frozen=True, kw_only=True, eq=False):
+    """A value that knows where it was written, which is not compared.
+
+    `_where` of its class names the fields with files and lines.
+    """
+
+    _where: ClassVar[frozenset[str]]
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash(self._content())
+
+    def _content(self) -> tuple[object, ...]:
+        fields = (name for name in self.__struct_fields__ if name not in self._where)
+        return tuple([getattr(self, name) for name in fields])
 
 
 def _opened(path: Path) -> BinaryIO:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
@@ -32,8 +35,7 @@ PROBLEMS_MAX: Final = 50
 """Problems that are listed; the rest is counted."""
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
+class Problem(Struct, frozen=True):
     """A mistake at one place of a file."""
 
     location: Location
@@ -49,8 +51,7 @@ class _Lines:
     inside: dict[str | int, _Lines] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class YamlSource:
+class YamlSource(Struct, frozen=True):
     """The content of one file: `value` is made of dict, list, str, int, float, bool and None.
 
     `problems` holds the mistakes that YAML accepts silently: a key given twice, and a key or an

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.splines import clamped_slopes, monotone_slopes
 
@@ -61,8 +61,7 @@ def hermite(
     return np.asarray(rest + turn * length_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Spline:
+class Spline(Struct, frozen=True):
     """The C2 cubic through equidistant keys, at rest at both ends: what `ease: spline` is."""
 
     step_s: float

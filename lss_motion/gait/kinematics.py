@@ -14,10 +14,10 @@ counted from the thigh. `Leg.knee` gives the side of the knee.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, assert_never
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.gait.model import LegKind
@@ -157,8 +157,7 @@ def _axes(leg: Leg) -> FloatArray:
     return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stance:
+class Stance(Struct, frozen=True, kw_only=True):
     """Body and feet at n instants, over a ground whose origin is below the body's start.
 
     `places`: x, y in mm and heading in rad, (n, 3). `shift_mm`: the body over that place, up from

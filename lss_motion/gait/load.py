@@ -7,9 +7,11 @@ are checked by `paced`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml

@@ -8,9 +8,12 @@ The body's origin lies between the hips, at their height. A foot is the point at
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
+
+from msgspec import Struct, field
+
+from lss_motion.files.source import Located
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,8 +37,7 @@ class LegKind(StrEnum):
     """As in dogs: the first joint swings the leg sideways, thigh and shank forward and back."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Leg:
+class Leg(Struct, frozen=True, kw_only=True):
     """One leg. Its kinematic angles are defined in `kinematics`.
 
     Joint angle and kinematic angle: `joint = direction * (kinematic - zero_deg)`, for each of the
@@ -59,8 +61,7 @@ class Leg:
     direction: tuple[int, int, int] = (1, 1, 1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pattern:
+class Pattern(Struct, frozen=True, kw_only=True):
     """When in a cycle each leg lifts, as a share of the cycle, in the order of `patterns.PARTS`.
 
     `duty_ratio` is the default share of the cycle in which a foot is on the ground. `is_static`:
@@ -75,8 +76,7 @@ class Pattern:
     sway_ratio: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BodyPose:
+class BodyPose(Struct, frozen=True, kw_only=True):
     """Where the body is over its feet.
 
     `shift_mm`: forward, left, up from where it stands. `tilt_deg`: roll, pitch, yaw; positive are
@@ -87,8 +87,7 @@ class BodyPose:
     tilt_deg: Triple = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wave:
+class Wave(Struct, frozen=True, kw_only=True):
     """A swing of the body about its pose, with the amplitudes of `pose` and the period `every_s`.
 
     `start_ratio` is its phase at the start of a passage, as a share of the period.
@@ -99,24 +98,24 @@ class Wave:
     start_ratio: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BodyMove:
+class BodyMove(Located, frozen=True, kw_only=True):
     """Bring the body to a pose in `in_s` over standing feet, and keep it for `hold_s`.
 
     Consecutive moves without a hold do not stop between them.
     """
 
+    _where: ClassVar = frozenset({"line"})
     pose: BodyPose
     in_s: float
     hold_s: float = 0.0
     label: str = ""
-    line: int | None = field(default=None, compare=False)
+    line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Walk:
+class Walk(Located, frozen=True, kw_only=True):
     """Walk whole cycles at one velocity of the body, in its own frame."""
 
+    _where: ClassVar = frozenset({"line"})
     forward_mm_s: float
     left_mm_s: float
     turn_deg_s: float
@@ -124,20 +123,20 @@ class Walk:
     more_cycles: int | None = 0
     """Cycles that the loop of the middle adds; None: without end."""
     label: str = ""
-    line: int | None = field(default=None, compare=False)
+    line: int | None = None
 
 
 Action = BodyMove | Walk
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gait:
+class Gait(Located, frozen=True, kw_only=True):
     """Legs, pattern and actions. The robot starts in the pose `start`, feet at their stance.
 
     `cycle_s` and all speeds are those of the author; `paced` slows them to the servo limits.
     `sway_mm` is how far the body leans away from a lifted leg.
     """
 
+    _where: ClassVar = frozenset({"path", "robot_path"})
     name: str
     legs: tuple[Leg, ...]
     height_mm: float
@@ -153,5 +152,5 @@ class Gait:
     sit: BodyPose | None = None
     """The pose in which the robot sits; None: it cannot."""
     loop: int | None = 1
-    path: Path | None = field(default=None, compare=False)
-    robot_path: Path | None = field(default=None, compare=False)
+    path: Path | None = None
+    robot_path: Path | None = None

@@ -7,11 +7,11 @@ stability, and slowed as a whole. `gait_lines` describes the result in text.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.gait.curves import spline
@@ -56,8 +56,7 @@ TURN_S: Final = 1e-6
 """Stability is checked this long before and after a foot lifts or lands."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Paced:
+class Paced(Struct, frozen=True, kw_only=True):
     """One passage within the servo limits: all of it is slowed by `pace_ratio`, 1 or more.
 
     `times_s` are those of the author. The joints follow the clamped spline through `angles_deg`,

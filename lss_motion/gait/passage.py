@@ -6,10 +6,11 @@ combines the path of the body, the steps of the feet, sway and swings.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.gait.curves import blend, through
 from lss_motion.gait.kinematics import Stance, neutral_mm
@@ -54,8 +55,7 @@ class Passage(Protocol):
         """The instants at which a foot lifts or lands."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Posing:
+class Posing(Struct, frozen=True, kw_only=True):
     """The body moves from pose to pose; the feet stand. `poses` has x, y, z, roll, pitch, yaw."""
 
     times_s: FloatArray
@@ -88,8 +88,7 @@ class Posing:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Walking:
+class Walking(Struct, frozen=True, kw_only=True):
     """The body travels in one pose, swaying away from lifted legs; the feet step.
 
     Travel and steps begin `lean_s` after the passage, and end as much before its end.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.gait.pacing import looped_s
 from lss_motion.picture import new_figure, save
@@ -56,8 +56,7 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
     save(figure, path)
 
 
-@dataclass(frozen=True, slots=True)
-class _Sample:
+class _Sample(Struct, frozen=True):
     times_s: FloatArray
     stance: Stance
     margin_mm: FloatArray

@@ -9,10 +9,11 @@ it, its end included, is within every limit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.gait.curves import Spline
@@ -61,8 +62,7 @@ USED_MAX_RATIO: Final = 1.0 + 1e-6
 """A path within the limits stays within when it is integrated again: rounding."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WalkPlan:
+class WalkPlan(Struct, frozen=True, kw_only=True):
     """The walk from a boundary on, with the steps that lead to a stand.
 
     The joints follow cubics through `angles_deg` with `slopes_deg_s` at `times_s`, which begin
@@ -82,8 +82,7 @@ class WalkPlan:
     following: Walker
 
 
-@dataclass(frozen=True, slots=True)
-class Steering:
+class Steering(Struct, frozen=True):
     """Makes the plans of one walk with the body in `pose`; `gait.actions` are not used."""
 
     gait: Gait

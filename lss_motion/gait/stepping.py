@@ -10,10 +10,11 @@ when the foot lifts, as if the velocity stayed the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.gait.curves import blend, hermite, lift
 from lss_motion.gait.kinematics import neutral_mm
@@ -38,8 +39,7 @@ INSTANT_S: Final = 1e-9
 """Instants this near are equal: rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class Travel:
+class Travel(Struct, frozen=True):
     """The path of the body over the ground: x, y in mm and heading in rad."""
 
     starts_s: FloatArray
@@ -127,8 +127,7 @@ def integrated(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Steps:
+class Steps(Struct, frozen=True, kw_only=True):
     """The path of one foot: step k takes it from `places_mm[k]` to `places_mm[k + 1]`.
 
     Standing feet do not move. A stepping foot has no speed over the ground when it lifts and when
@@ -197,8 +196,7 @@ def below(neutral_mm: FloatArray, places: FloatArray) -> FloatArray:
     return np.asarray(places[:, :2] + np.stack([x, y], axis=1))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Twist:
+class Twist(Struct, frozen=True, kw_only=True):
     """A velocity of the body in its own frame; turns to the left are positive."""
 
     forward_mm_s: float = 0.0
@@ -221,8 +219,7 @@ class Twist:
 STILL: Final = Twist()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Foot:
+class Foot(Struct, frozen=True, kw_only=True):
     """A foot that stands at `place_mm`, or steps there from `from_mm` until `lands_s`."""
 
     place_mm: FloatArray
@@ -231,8 +228,7 @@ class Foot:
     lands_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Walker:
+class Walker(Struct, frozen=True, kw_only=True):
     """A walking robot at a boundary of phases. Seconds count from the first one."""
 
     boundary: int
@@ -246,8 +242,7 @@ class Walker:
     """The joint angles before the boundary, at equal steps that end there."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stepper:
+class Stepper(Struct, frozen=True):
     """Steps of a gait that is steered; `gait.actions` are not used."""
 
     gait: Gait

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.label_track import label_track
@@ -20,8 +21,7 @@ FREQUENCIES: Final = "\\"
 """Begins a row with the frequencies of the label before, which is no label."""
 
 
-@dataclass(frozen=True, slots=True)
-class AudacityReader:
+class AudacityReader(Struct, frozen=True):
     """Reads the rows as labels; a label may be an instant."""
 
     name: str = "audacity"

@@ -6,8 +6,9 @@ start), and is held for `pause`. The file does not contain the pose before the f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import Pose, motion_label, motion_of_poses, summarised
@@ -23,8 +24,7 @@ _ABOUT: Final = ("author", "description", "last_edited", "version")
 _KEYFRAME_KEYS: Final = frozenset({"duration", "pause", "goals", "name"})
 
 
-@dataclass(frozen=True, slots=True)
-class BitBotsReader:
+class BitBotsReader(Struct, frozen=True):
     """Reads `{"name", "keyframes": [{"duration", "pause", "goals": {joint: deg}, "name"}]}`."""
 
     name: str = "bitbots"

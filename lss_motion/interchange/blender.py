@@ -8,10 +8,10 @@ this package wrote contain the unit in `unit`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import (
@@ -38,8 +38,7 @@ _KNOWN: Final = frozenset(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class BlenderReader:
+class BlenderReader(Struct, frozen=True):
     """Reads `{"fps", "positions": [{id: position}]}` and `{"fps", "servos": {id: {...}}}`."""
 
     name: str = "blender"

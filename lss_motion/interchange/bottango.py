@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.interchange.fields import NUMBER_MAX, JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import VALUES_MAX, Channel, Unit, recording, summarised, thinned
@@ -50,8 +51,7 @@ class _Controller:
     signals: dict[str, tuple[float, float, Unit]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class BottangoReader:
+class BottangoReader(Struct, frozen=True):
     """Reads a list of controllers; each animation, over all controllers, is one motion.
 
     The name of a joint is the id of its effector, with the prefix `controller/` if the file has

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
@@ -91,8 +92,7 @@ class _ServoMove(NamedTuple):
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class CommandReader:
+class CommandReader(Struct, frozen=True):
     """Reads `#<id>D<tenths>T<ms>` (joints by their ids) and `#<ch>P<us>…T<ms>` (pulses)."""
 
     name: str = "commands"

@@ -11,10 +11,10 @@ from __future__ import annotations
 import csv
 import re
 from array import array
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
@@ -50,8 +50,7 @@ FRAME: Final = "frame"
 _FPS: Final = re.compile(r"#\s*fps\s*[:=]\s*(\d{1,4}(?:\.\d{1,6})?)\s*", re.IGNORECASE | re.ASCII)
 
 
-@dataclass(frozen=True, slots=True)
-class CsvRows:
+class CsvRows(Struct, frozen=True):
     """A table: its header, its separator, and its rows with their line numbers.
 
     `first_row` is the number of lines above the first row.
@@ -153,8 +152,7 @@ _LONG_NAMES: Final = ("servo", "joint")
 _LONG_VALUES: Final = ("deg", "rad", "us")
 
 
-@dataclass(frozen=True, slots=True)
-class CsvReader:
+class CsvReader(Struct, frozen=True):
     """Reads both forms; the header decides which."""
 
     name: str = "csv"

@@ -10,8 +10,9 @@ from __future__ import annotations
 import re
 import sqlite3
 from contextlib import closing
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.reader import VALUES_MAX, Pose, Unit, motion_name, motion_of_poses
@@ -58,8 +59,7 @@ _SERVO: Final = re.compile(r"servo(\d{1,3})", re.ASCII | re.IGNORECASE)
 Rows = list[tuple[object, ...]]
 
 
-@dataclass(frozen=True, slots=True)
-class D6aReader:
+class D6aReader(Struct, frozen=True):
     """Reads the table `ActionGroup(Index, Time, Servo1, …)`; joints are `ID<n>`."""
 
     name: str = "d6a"

@@ -9,10 +9,10 @@ import csv
 import io
 import json
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.interchange.blender import TENTHS
 from lss_motion.units import ns_from_s
@@ -32,8 +32,7 @@ RADIAN_DECIMALS: Final = 8
 """Decimals of radians, about as fine as `ANGLE_DECIMALS`."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
+class Samples(Struct, frozen=True, kw_only=True):
     """A plan sampled at even times: angles and speeds, (n, joints)."""
 
     name: str

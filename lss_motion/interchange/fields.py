@@ -10,9 +10,10 @@ import json
 import math
 import re
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NoReturn
 from xml.parsers import expat
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
@@ -71,8 +72,7 @@ def parsed_json(path: Path, data: bytes) -> object:
         raise InputError(f"not JSON that can be read: {error}", path=path) from error
 
 
-@dataclass(frozen=True, slots=True)
-class JsonFields:
+class JsonFields(Struct, frozen=True):
     """Typed access to one JSON file. Every `InputError` contains the place in the file."""
 
     path: Path
@@ -153,8 +153,7 @@ LINES_MAX: Final = 5_000_000
 bound, 64 MB of short lines would become a gigabyte of text objects."""
 
 
-@dataclass(frozen=True, slots=True)
-class TextLines:
+class TextLines(Struct, frozen=True):
     """The lines of one text file, numbered from 1. Every `InputError` contains the line number."""
 
     path: Path

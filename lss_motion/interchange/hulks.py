@@ -7,8 +7,9 @@ Older files have `frames` in place of `motion`, and conditions among them. Jumps
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import Pose, Unit, motion_of_poses, summarised
@@ -23,8 +24,7 @@ STIFFNESSES: Final = "stiffnesses"
 """Also found among the groups of joints, in `jump_left.json` of the team."""
 
 
-@dataclass(frozen=True, slots=True)
-class HulksReader:
+class HulksReader(Struct, frozen=True):
     """Reads `{"initial_positions", "motion": [{"keyframes": [{"duration", "positions"}]}]}`.
 
     Positions may be `{"positions", "stiffnesses"}`, at the start and in each keyframe.

@@ -8,12 +8,13 @@ reduces a recording to keys; `sequence_for` checks the result against the robot.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, known_names, read_data
@@ -187,8 +188,7 @@ SWING_STEPS: Final = 8
 """Angles looked at between two samples: a spline of few keys leaves its range beside the middle."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Imported:
+class Imported(Struct, frozen=True, kw_only=True):
     """A motion as a sequence for one robot. `fit` is the result of the reduction of a recording."""
 
     sequence: Sequence

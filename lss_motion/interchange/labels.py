@@ -8,9 +8,11 @@ from one to the next is centred on the instant between them. The joints keep the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
@@ -47,8 +49,7 @@ class LabelUse(StrEnum):
     """A keyframe each, with the label and the angles of the pose of that name."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelStyle:
+class LabelStyle(Struct, frozen=True, kw_only=True):
     """How labels become keyframes."""
 
     use: LabelUse | None = None

@@ -7,10 +7,10 @@ does not define which, so a map file must. Needs pyarrow: `pip install 'lss-moti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, read_data
@@ -36,8 +36,7 @@ ABOVE_MAX: Final = 4
 TIMES: Final = ("timestamp", "frame_index", "episode_index")
 
 
-@dataclass(frozen=True, slots=True)
-class LeRobotReader:
+class LeRobotReader(Struct, frozen=True):
     """Reads `observation.state` (or `action`) by episode, at the rate of the dataset."""
 
     name: str = "lerobot"

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.interchange.fields import TextLines, parse_xml
 from lss_motion.interchange.reader import Pose, Unit, motion_of_poses, read_or_refused, summarised
 from lss_motion.units import s_from_ms
@@ -69,8 +71,7 @@ class _Content:
             self.open_frame.text += part
 
 
-@dataclass(frozen=True, slots=True)
-class MaestroReader:
+class MaestroReader(Struct, frozen=True):
     """Reads `<UscSettings>`: one motion per sequence. Values are pulses, so a map is needed."""
 
     name: str = "maestro"

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from pydantic import AfterValidator, Field
 
 from lss_motion.errors import InputError
@@ -96,8 +97,7 @@ class MapFile(FileModel, title="map file"):
     joints: Annotated[dict[str, MapEntry], Field(min_length=1)]
 
 
-@dataclass(frozen=True, slots=True)
-class MotionMap:
+class MotionMap(Struct, frozen=True):
     """The content of a map file, with its line numbers."""
 
     entries: Mapping[str, MapEntry]

@@ -12,9 +12,10 @@ are assumptions; the comments name them.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
@@ -74,8 +75,7 @@ _CUT: Final = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class OpenCatReader:
+class OpenCatReader(Struct, frozen=True):
     """Reads `const int8_t name[] PROGMEM = {…};` or bare `{…}`: one motion per array.
 
     The joints are `J<n>`.
@@ -106,8 +106,7 @@ class OpenCatReader:
         return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class _Skill:
+class _Skill(Struct, frozen=True):
     """The numbers of one array: frames of angles in degrees, and what else the frames have."""
 
     frames: list[list[float]]

@@ -6,8 +6,9 @@ from 1, and a shape in each row, and does not give its frame rate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.label_track import label_track
@@ -28,8 +29,7 @@ COUNT_MAX: Final = 100_000
 """Phrases, words or phonemes. Chosen: more than a file of 64 MB holds of use."""
 
 
-@dataclass(frozen=True, slots=True)
-class PapagayoReader:
+class PapagayoReader(Struct, frozen=True):
     """Reads projects, one track for each voice, and switch data."""
 
     name: str = "papagayo"

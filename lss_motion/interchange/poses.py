@@ -13,8 +13,11 @@ Angles are degrees if nothing else is given. Poses without times get `STEP_S` ea
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.csv import csv_rows, delimiter_of, unit_of_column
@@ -68,8 +71,7 @@ VALUES: Final = {
 _JSON_ROW: Final = re.compile(rb"\[\s*(\{|\[\s*[-+\d])")
 
 
-@dataclass(frozen=True, slots=True)
-class PosesReader:
+class PosesReader(Struct, frozen=True):
     """Reads `[{"deg": {joint: angle}, "duration_s": …}]`, `[[…], […]]` and rows of angles."""
 
     name: str = "poses"

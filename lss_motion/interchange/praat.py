@@ -7,9 +7,10 @@ brackets; all other words are for people.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.fields import TextLines
@@ -30,8 +31,7 @@ _TOKEN: Final = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PraatReader:
+class PraatReader(Struct, frozen=True):
     """Reads each tier as a track. The empty texts of intervals are pauses."""
 
     name: str = "praat"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused
@@ -30,8 +31,7 @@ _POSE: Final = re.compile(r"pose\s*=", re.IGNORECASE)
 _HEADER: Final = re.compile(r"[^:=]{0,200}:\s*\d{1,3}\s*(:.*)?", re.ASCII)
 
 
-@dataclass(frozen=True, slots=True)
-class PyPoseReader:
+class PyPoseReader(Struct, frozen=True):
     """Reads `name:count[:resolution…]`, `Pose=` and `Seq=` lines; joints are `ID<n>`, from 1."""
 
     name: str = "pypose"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import Pose, motion_of_poses, summarised
@@ -14,8 +15,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import ForeignMotion
 
 
-@dataclass(frozen=True, slots=True)
-class PypotReader:
+class PypotReader(Struct, frozen=True):
     """Reads `{"framerate", "positions": {"<seconds>": {motor: [deg, deg/s]}}}`."""
 
     name: str = "pypot"

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Interpolation, Keyframe
@@ -77,8 +77,7 @@ def unit_of_ros_joint(name: str) -> Unit:
     return Unit.RAD_OR_M if _PRISMATIC.search(name) else Unit.RAD
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Channel:
+class Channel(Struct, frozen=True, kw_only=True, eq=False):
     """One joint of the file: one value or more, at increasing times."""
 
     name: str
@@ -107,8 +106,7 @@ class Channel:
         return int(self.lines[before if is_before else after]) or None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Note:
+class Note(Struct, frozen=True, kw_only=True):
     """Properties of the pose at one time, besides its angles."""
 
     hold_s: float = 0.0
@@ -116,8 +114,7 @@ class Note:
     ease: Interpolation | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForeignMotion:
+class ForeignMotion(Struct, frozen=True, kw_only=True, eq=False):
     """A motion as in its file, not yet for a robot; it has one channel or more.
 
     `notes` are by time. `comments` are for people: the origin of the motion, how ambiguous values
@@ -162,16 +159,14 @@ class ForeignMotion:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RefusedMotion:
+class RefusedMotion(Struct, frozen=True, kw_only=True):
     """A motion that cannot be read, with the reason; other motions of the file may be readable."""
 
     name: str
     error: InputError
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(Struct, frozen=True):
     """A label from `from_s` to `to_s`; both are equal at an instant."""
 
     from_s: float
@@ -180,8 +175,7 @@ class Span:
     line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelTrack:
+class LabelTrack(Struct, frozen=True, kw_only=True):
     """Labels of a sound as in their file: words, sounds of speech, shapes of a mouth.
 
     One span or more, in order of their beginnings, none before 0. They become motion by poses of a
@@ -263,8 +257,7 @@ def summarised(found: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"Not carried over: {what}" for what in dict.fromkeys(found))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pose:
+class Pose(Struct, frozen=True, kw_only=True):
     """Values to be reached at `at_s` and held for `hold_s`; `place` is for error messages."""
 
     at_s: float

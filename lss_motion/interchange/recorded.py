@@ -13,10 +13,11 @@ of those of the recording.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes
@@ -50,8 +51,7 @@ EXCESS_SLACK: Final = 5e-5
 """Half of the tolerance of the planner for rounding (`FEASIBLE_RATIO`)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class Limits(Struct, frozen=True, kw_only=True):
     """Limits of a joint: speed, acceleration and range."""
 
     speed_deg_s: float
@@ -59,8 +59,7 @@ class Limits:
     range_deg: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Curve:
+class Curve(Struct, frozen=True, kw_only=True, eq=False):
     """The recording of one joint, the tolerance of its keys, and the limits of a spline.
 
     `wanted` are the angles that a curve should have at the samples, `key_values` those of the keys
@@ -192,8 +191,7 @@ def interpolated(
     return Spans.between(ease, key_times_s, key_values).at(times_s, counts)
 
 
-@dataclass(frozen=True, slots=True)
-class Spans:
+class Spans(Struct, frozen=True):
     """What lies between keys: cubics of the share of each span, or moves with even ramps."""
 
     starts_s: FloatArray

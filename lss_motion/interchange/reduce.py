@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.fitted_keys import fitted_together, without_spare_keys
@@ -71,8 +72,7 @@ MORE_RATIO: Final = 1.25
 """Fitted keys may begin at so many times the instants of sample keys: a tenth falls away later."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeyFit:
+class KeyFit(Struct, frozen=True, kw_only=True):
     """Result of a reduction; the errors are measured at every sample of the recording."""
 
     samples_count: int

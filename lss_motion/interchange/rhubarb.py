@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.interchange.fields import (
     JsonFields,
     TextLines,
@@ -58,8 +60,7 @@ class _Xml:
             self.cue = None
 
 
-@dataclass(frozen=True, slots=True)
-class RhubarbReader:
+class RhubarbReader(Struct, frozen=True):
     """Reads `mouthCues`, `<rhubarbResult>`, and rows of a time and a shape."""
 
     name: str = "rhubarb"

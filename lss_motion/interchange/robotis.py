@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused, summarised
@@ -49,8 +51,7 @@ def ax_deg(position: float) -> float:
     return (position - POSITIONS_COUNT / 2) * RANGE_DEG / POSITIONS_COUNT
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
+class _Step(Struct, frozen=True):
     """One step of a page, checked, at the speed of the page."""
 
     values: Mapping[str, float]
@@ -113,8 +114,7 @@ class _TextPage:
         return self.name or f"page {self.number}"
 
 
-@dataclass(frozen=True, slots=True)
-class RobotisTextReader:
+class RobotisTextReader(Struct, frozen=True):
     """Reads `type=motion` … `page_begin` … `step=` … `page_end`; joints are `ID<n>`."""
 
     name: str = "mtn"
@@ -281,8 +281,7 @@ ZERO: Final = 2048
 """4096 positions over 360 deg, 2048 is 0 deg. Older files have 1024, as in the text form."""
 
 
-@dataclass(frozen=True, slots=True)
-class _BinaryPage:
+class _BinaryPage(Struct, frozen=True):
     """One page. Its steps are (positions, pause, time) in units of the file."""
 
     number: int
@@ -313,8 +312,7 @@ class _BinaryPage:
         ]  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class RobotisPagesReader:
+class RobotisPagesReader(Struct, frozen=True):
     """Reads up to 256 pages: one motion per page with steps; joints are `ID<n>`."""
 
     name: str = "robotis-bin"
@@ -345,8 +343,7 @@ class RobotisPagesReader:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Scale:
+class _Scale(Struct, frozen=True):
     """Properties of the whole file: the scale of positions, unused servos, broken pages."""
 
     is_fine: bool

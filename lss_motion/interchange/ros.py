@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
 from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
@@ -39,8 +41,7 @@ NODES_MAX: Final = 4_000_000
 """Maximum number of nodes, as for values of a recording. An alias counts as its content."""
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(Struct, frozen=True):
     """A text, a list or a mapping, and the line where it starts."""
 
     value: str | list[Node] | dict[str, Node]
@@ -144,8 +145,7 @@ Assumed: the publisher of ros2_controllers_test_nodes uses this time."""
 _POINT_EXTRAS: Final = ("velocities", "accelerations", "effort", "efforts")
 
 
-@dataclass(frozen=True, slots=True)
-class RosReader:
+class RosReader(Struct, frozen=True):
     """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`.
 
     It also reads the parameters of a publisher of goals: `{goal_names, wait_sec_between_publish,

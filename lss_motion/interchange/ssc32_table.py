@@ -7,11 +7,11 @@ pin has arrived, or after TMAX if that is later.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
@@ -41,8 +41,7 @@ DURATION_MAX_MS: Final = 65_535
 _ABOUT: Final = ("PROJECT", "SEQUENCE", "STEP")
 
 
-@dataclass(frozen=True, slots=True)
-class Ssc32TableReader:
+class Ssc32TableReader(Struct, frozen=True):
     """Reads the table: one motion per project and sequence; joints are `PIN<n>`."""
 
     name: str = "ssc32-csv"

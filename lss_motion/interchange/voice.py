@@ -9,11 +9,12 @@ joint keeps its time (`keep: time`) in any case.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, known_names
@@ -83,8 +84,7 @@ class Follow(StrEnum):
     STEREO = "stereo"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VoiceStyle:
+class VoiceStyle(Struct, frozen=True, kw_only=True):
     """How a sound moves a joint: `near_deg` when it is silent, `far_deg` when it is loud.
 
     With `Follow.STEREO` these are the angles for a sound from the left and from the right. None: an
@@ -103,8 +103,7 @@ class VoiceStyle:
     """The sequence plays the sound; only with syllables."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Voiced:
+class Voiced(Struct, frozen=True, kw_only=True):
     """The motion of a joint that follows a sound, and the angles of its keys before `fitted`."""
 
     sequence: Sequence
@@ -316,8 +315,7 @@ def _sound(part: Part, style: VoiceStyle) -> tuple[Cue, ...]:
     return (Cue(at_s=0.0, sound=str(part.path.absolute()), style=SoundStyle(is_bed=True)),)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shortfall:
+class Shortfall(Struct, frozen=True, kw_only=True):
     """How much of the openings of a joint a plan does not give."""
 
     openings: int

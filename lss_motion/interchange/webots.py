@@ -8,8 +8,9 @@ The unit of the duration is assumed: milliseconds since the row before.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, summarised, unit_of_ros_joint
@@ -33,8 +34,7 @@ VARIANTS: Final = (
 """What is read, for messages."""
 
 
-@dataclass(frozen=True, slots=True)
-class WebotsReader:
+class WebotsReader(Struct, frozen=True):
     """Reads `#WEBOTS_MOTION,V1.0,joint,…` and its rows; radians (metres for sliding joints)."""
 
     name: str = "webots"
@@ -74,8 +74,7 @@ DURATION_MAX_MS: Final = 3_600_000
 """Chosen: one hour between two rows."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
+class _Table(Struct, frozen=True):
     lines: TextLines
     delimiter: str
     names: list[str]

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.interchange.fields import TextLines, parse_xml, text_head
 from lss_motion.interchange.label_track import label_track
 from lss_motion.interchange.reader import Span, motion_name, read_or_refused
@@ -41,8 +43,7 @@ class _Content:
             self.tracks[-1][1][-1].append(Span(from_s, to_s, text, line))
 
 
-@dataclass(frozen=True, slots=True)
-class XLightsReader:
+class XLightsReader(Struct, frozen=True):
     """Reads each layer of each track as one track of labels."""
 
     name: str = "xlights"

@@ -7,9 +7,9 @@ command that reads or writes a backup, inside the function that needs it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
+from msgspec import Struct, field
 from pydantic import Field
 
 from lss_motion.files.source import known_names
@@ -56,8 +56,7 @@ class BackupFile(FileModel, title="backup file"):
     servos: Annotated[list[ServoEntry], Field(min_length=1)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoBackup:
+class ServoBackup(Struct, frozen=True, kw_only=True):
     """The settings of one servo, and what identifies it."""
 
     bus: str

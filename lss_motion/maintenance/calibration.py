@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.player.checks import expected_frame
 from lss_motion.protocol.codec import language_table, storable
@@ -20,8 +21,7 @@ ZERO_DECIMALS: Final = 1
 """Servos report tenths of a degree."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
+class Frame(Struct, frozen=True, kw_only=True):
     """The relation of joint and servo angles: `servo_deg = zero_deg + direction * joint_deg`."""
 
     zero_deg: float

@@ -11,9 +11,10 @@ settings are given back and the joint holds.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.maintenance.careful_legs import (
     MEANS,
@@ -72,8 +73,7 @@ FAST_DEG_S: Final = 3.0
 much more for its rounding and the ramps of a load."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Careful:
+class Careful(Struct, frozen=True, kw_only=True):
     """What a careful run has shown of one joint."""
 
     way_deg: float

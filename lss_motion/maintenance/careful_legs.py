@@ -11,8 +11,9 @@ the speed to `SPEED_RATIO` of that of the joint. The last two legs are as in a s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.player.estimators import LAG_MAX_S
@@ -56,8 +57,7 @@ RATIO_MAX: Final = 1.7
 loaded servo and other ramps make 1.3 (measured), a wrong unit at least 2.5."""
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
+class Course(Struct, frozen=True):
     """A profile from rest to rest over `way_deg`, from its start on; magnitudes above 0."""
 
     way_deg: float
@@ -105,8 +105,7 @@ class Course:
         return angle_deg / peak + 0.5 * peak / self.accel_deg_s2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Leg:
+class Leg(Struct, frozen=True, kw_only=True):
     """One move from rest to rest. Servo degrees."""
 
     tests: str
@@ -217,8 +216,7 @@ def _leg(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(Struct, frozen=True):
     """What the readings of a leg show: the share of the way, of the speed, and the lag."""
 
     way_ratio: float

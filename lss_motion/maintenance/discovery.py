@@ -16,6 +16,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
@@ -82,8 +84,7 @@ BAD_STATUS: Final = (Status.STUCK, Status.BLOCKED, Status.SAFE_MODE, Status.ERRO
 _QUESTIONS: Final = ("QF", "QN", "QD", "QV", "QT", "Q")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoIdentity:
+class ServoIdentity(Struct, frozen=True, kw_only=True):
     """The device that answers to an id; with `is_shared`, several devices.
 
     `model` is the answer to `QMS`, empty if every answer was damaged. With `is_doubtful` there was
@@ -299,8 +300,7 @@ class Unasked:
             self.unreadable_bytes += len(_CLEAN.sub(b"", _CUT_OFF.sub(b"", data)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoCondition:
+class ServoCondition(Struct, frozen=True, kw_only=True):
     """The answers of one servo; None where it did not answer. Angles are servo degrees."""
 
     bus: str
@@ -380,8 +380,7 @@ def _is_answered_by(identity: ServoIdentity, keyword: str) -> bool:
     return keyword != "QD" or "LSS-2IO-" not in identity.model or "-D" in identity.model
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Struct, frozen=True):
     """Bytes to send, and how long to listen afterwards."""
 
     data: bytes

@@ -9,11 +9,13 @@ of the person), restore, done.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.player import checks, handshake
@@ -46,8 +48,7 @@ HEALTH_NS: Final = NS_PER_S // 10
 IDLE_NS: Final = 20 * NS_PER_MS
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Struct, frozen=True):
     """The angle of a joint, in joint degrees, at the instant when its servo received the query."""
 
     joint: str
@@ -480,4 +481,4 @@ def _session(robot: Robot, name: str, *, is_soft: bool) -> Joint:
             "are; leave it out with --joints",
             path=robot.path,
         )
-    return dataclasses.replace(joint, settings={**joint.settings, **(SOFT if is_soft else {})})
+    return replace(joint, settings={**joint.settings, **(SOFT if is_soft else {})})

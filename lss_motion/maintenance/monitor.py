@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.maintenance.discovery import (
     BAD_STATUS,
     CURRENT_MAX_A,
@@ -347,8 +349,7 @@ def _keywords(servo: ServoState, round_: int) -> tuple[str, ...]:
     return (*QUICK, slow[round_ % len(slow)])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Thresholds:
+class Thresholds(Struct, frozen=True, kw_only=True):
     """The limits of the alarms. `discovery` defines the defaults and their sources."""
 
     temperature_max_c: float = HOT_C

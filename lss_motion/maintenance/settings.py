@@ -5,8 +5,9 @@ Values are wire values by the name of their row; None is a first position that i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import Language, storable
@@ -34,8 +35,7 @@ FIRST: Final = ("FP", "FD")
 """The two first positions; writing one erases the other (FACTS.md C16)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class Target(Struct, frozen=True, kw_only=True):
     """A servo whose settings are read or written. `model` is the answer to `QMS`."""
 
     name: str
@@ -73,8 +73,7 @@ class Target:
         }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class Change(Struct, frozen=True, kw_only=True):
     """A setting that differs from the wanted value."""
 
     target: Target

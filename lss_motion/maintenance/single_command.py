@@ -7,9 +7,10 @@ changed so that it keeps the speed of the joint, or refused where it would leave
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.protocol.codec import FAMILY_TABLES, language_table, read_command
 from lss_motion.protocol.constants import BROADCAST_ID, Family
@@ -35,8 +36,7 @@ class Consent(Enum):
     """`--force` as well: it leaves the limits of the robot file, or changes every servo."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class Verdict(Struct, frozen=True, kw_only=True):
     """The command as it would be sent, what it does, and what it needs.
 
     `notes` are sentences for people: what was changed, and why a question is asked.
@@ -48,8 +48,7 @@ class Verdict:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Standing:
+class Standing(Struct, frozen=True, kw_only=True):
     """What the servo of a joint has reported: None where it has not."""
 
     servo_deg: float | None = None

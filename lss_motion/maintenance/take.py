@@ -6,11 +6,13 @@ each section becomes a smooth recording at even times first (`cleaned`, `at_rest
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.interchange.importing import imported
 from lss_motion.interchange.reader import Channel, ForeignMotion, Unit
@@ -138,8 +140,7 @@ class Take:
         return running_s + sum(p.duration_s for p in self.parts if isinstance(p, RecordedSection))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TakeResult:
+class TakeResult(Struct, frozen=True, kw_only=True):
     """A take as a sequence, comments for its file, and how well each section was reduced."""
 
     sequence: Sequence
@@ -290,8 +291,7 @@ class _SequenceBuilder:
         yield from dict.fromkeys(self.notes)
 
 
-@dataclass(frozen=True, slots=True)
-class Clean:
+class Clean(Struct, frozen=True):
     """Angles at even times from the first reading on; `noise_deg` is the RMS that was removed."""
 
     times_s: FloatArray

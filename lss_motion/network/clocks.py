@@ -14,8 +14,9 @@ contradict each other mean that a clock jumped or was slewed: then it starts aga
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
@@ -43,8 +44,7 @@ REFUSE_NS: Final = 10 * NS_PER_MS
 """Clocks that are known no better start no show. Chosen: at 100 deg/s, 1 degree."""
 
 
-@dataclass(frozen=True, slots=True)
-class Exchange:
+class Exchange(Struct, frozen=True):
     """One question and its answer.
 
     `asked_ns` and `returned_ns` are of this computer's clock, the other two of the other's.
@@ -66,8 +66,7 @@ class Exchange:
         return self.answered_ns >= self.received_ns and 0 <= self.round_trip_ns <= LATE_NS
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
+class Interval(Struct, frozen=True):
     """At the own instant `at_ns` the other clock is ahead by `low_ns` to `high_ns`."""
 
     at_ns: int
@@ -84,8 +83,7 @@ class Interval:
         return (self.high_ns + self.low_ns) / 2
 
 
-@dataclass(frozen=True, slots=True)
-class ClockEstimate:
+class ClockEstimate(Struct, frozen=True):
     """The other clock at the own instant `at_ns`: ahead by `offset_ns`, faster by `rate_ratio`.
 
     The truth lies within `bound_ns` of `offset_ns`.

@@ -11,10 +11,11 @@ stage begins again as often as its retry rules allow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from random import Random
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.network.conductor import LEAD_NS
@@ -73,8 +74,7 @@ ACTIVE: Final = frozenset({"arming", "armed", "playing", "freewheeling", "holdin
 Phase = Literal["standing", "leaving", "readying", "arming", "playing"]
 
 
-@dataclass(frozen=True, slots=True)
-class Offer:
+class Offer(Struct, frozen=True):
     """A planned show: what each figure plays, and the contents by hash."""
 
     cast: Cast

@@ -15,9 +15,11 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.network.clocks import REFUSE_NS, WARN_NS
@@ -54,8 +56,7 @@ class Examiner(Protocol):
     def turn(self) -> None: ...
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(Struct, frozen=True):
     """One line of the table: what was found about one figure."""
 
     figure: str

@@ -17,6 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError
 from lss_motion.network.conductor import LOST_NS
 from lss_motion.network.messages import (
@@ -64,8 +66,7 @@ PlayerPhase = Literal["none", "starting", "standing", "playing", "stopping", "en
 """`standing`: the robot is at the start and waits for a leg. `ended`: by itself, at its end."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlayerView:
+class PlayerView(Struct, frozen=True):
     """What is known of the player of this figure."""
 
     phase: PlayerPhase = "none"
@@ -79,30 +80,26 @@ class PlayerView:
     """Whether the robot stands at `show_s`, and goes to no other place."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fetch:
+class Fetch(Struct, frozen=True):
     """Ask for the content with this hash, check it, and give it to `take_content`."""
 
     hash: str
 
 
-@dataclass(frozen=True, slots=True)
-class Verify:
+class Verify(Struct, frozen=True):
     """Verify the plan against the robot of this figure, and call `take_verified`."""
 
     plan: str
 
 
-@dataclass(frozen=True, slots=True)
-class Arm:
+class Arm(Struct, frozen=True):
     """Start the player with this plan: it moves to `start_s` of the show and waits there."""
 
     plan: str
     start_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Follow:
+class Follow(Struct, frozen=True):
     """At the own instant `instant_ns` the show is at `show_s`, and goes on at `rate`."""
 
     instant_ns: int
@@ -110,8 +107,7 @@ class Follow:
     rate: float
 
 
-@dataclass(frozen=True, slots=True)
-class StopPlayer:
+class StopPlayer(Struct, frozen=True):
     """Brake within the limits, hold, and end."""
 
 

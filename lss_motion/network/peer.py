@@ -11,8 +11,9 @@ import contextlib
 import queue
 import threading
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.closing import Closing
 from lss_motion.errors import BusError, InputError
@@ -41,8 +42,7 @@ NEEDED: Final = 'shows on several computers need a package: pip install "lss-mot
 What = Literal["message", "alive", "gone", "content", "no content"]
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(Struct, frozen=True):
     """What arrived: below the name of the stage, at this instant of the own clock."""
 
     what: What

@@ -12,7 +12,6 @@ for, the robot has the hash for which the plan was made, and the plan is verifie
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import hashlib
 import json
 import os
@@ -20,6 +19,9 @@ import tempfile
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.network.messages import Cast, Part, hash_of, packed
@@ -76,13 +78,13 @@ def joined_robot(name: str, robots: Mapping[str, Robot]) -> Robot:
     for figure, robot in robots.items():
         for bus in robot.buses.values():
             named = _named(figure, bus.name)
-            buses[named] = dataclasses.replace(bus, name=named)
+            buses[named] = replace(bus, name=named)
         for joint in robot.joints.values():
             named, line = _named(figure, joint.name), _named(figure, joint.bus)
-            joints[named] = dataclasses.replace(joint, name=named, bus=line)
+            joints[named] = replace(joint, name=named, bus=line)
         for sensor in robot.sensors.values():
             named, line = _named(figure, sensor.name), _named(figure, sensor.bus)
-            sensors[named] = dataclasses.replace(sensor, name=named, bus=line)
+            sensors[named] = replace(sensor, name=named, bus=line)
         for pose, angles in robot.poses.items():
             named_deg = {_named(figure, joint): deg for joint, deg in angles.items()}
             poses[_named(figure, pose)] = named_deg
@@ -93,7 +95,7 @@ def joined_robot(name: str, robots: Mapping[str, Robot]) -> Robot:
         for joint_name, (other, sign) in robot.mirror.items():
             mirror[_named(figure, joint_name)] = (_named(figure, other), sign)
     first = next(iter(robots.values()))
-    return dataclasses.replace(
+    return replace(
         first,
         name=name,
         path=None,
@@ -123,12 +125,12 @@ def part_of(program: Program, figure: str, robot: Robot, *, is_conductor: bool) 
     cues = []
     for cue in program.cues:
         led = tuple((name.removeprefix(start), code) for name, code in cue.led if own(name))
-        kept = dataclasses.replace(cue, led=led)
+        kept = replace(cue, led=led)
         if not is_conductor:
-            kept = dataclasses.replace(kept, sound="", run="", say="")
+            kept = replace(kept, sound="", run="", say="")
         if kept.led or kept.sound or kept.run or kept.say:
             cues.append(kept)
-    return dataclasses.replace(
+    return replace(
         program,
         robot=robot.name,
         robot_path=None,
@@ -146,8 +148,7 @@ def part_of(program: Program, figure: str, robot: Robot, *, is_conductor: bool) 
     )
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class PlannedCast:
+class PlannedCast(Struct, frozen=True):
     """A show planned for all figures."""
 
     cast: Cast
@@ -243,11 +244,11 @@ def planned_figures(stage: Stage, robots: Mapping[str, Robot]) -> list[tuple[str
 
 def part_of_alone(program: Program, robot: Robot, is_conductor: bool) -> Program:  # noqa: FBT001
     """Return a program that was made for one figure, without what is the conductor's."""
-    named = dataclasses.replace(program, robot=robot.name, robot_path=None)
+    named = replace(program, robot=robot.name, robot_path=None)
     if is_conductor:
         return named
-    kept = [dataclasses.replace(cue, sound="", run="", say="") for cue in named.cues if cue.led]
-    return dataclasses.replace(named, cues=tuple(kept))
+    kept = [replace(cue, sound="", run="", say="") for cue in named.cues if cue.led]
+    return replace(named, cues=tuple(kept))
 
 
 def read_plan(content: bytes, robot: Robot) -> Program:

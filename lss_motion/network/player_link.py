@@ -13,8 +13,9 @@ import select
 import subprocess
 import threading
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import EXIT_UNREACHABLE, LssMotionError
 from lss_motion.network.figure import KEPT_PLANS, PlayerView

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import ipaddress
 import json
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 
@@ -40,8 +41,7 @@ MESSAGES: Final = (
 """All kinds of messages that access control knows."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class NetworkSettings:
+class NetworkSettings(Struct, frozen=True, kw_only=True):
     """One computer's place in the network of a stage."""
 
     stage: str

@@ -11,10 +11,12 @@ from __future__ import annotations
 import contextlib
 import pickle
 import time
-from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.network.conducting import Conducting, Offer
@@ -57,8 +59,7 @@ def conductor_job(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ConductorJob:
+class ConductorJob(Struct, frozen=True, kw_only=True):
     """A planned stage with figures, for the computer of its conductor.
 
     `options`: `waits_for_go`, `start_at`, `is_real_time`, `may_run`, `seed`, `log_folder`, `goes`

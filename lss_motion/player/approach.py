@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from lss_motion.program.model import TOLERANCE_DEG, Move, Program, driving_of
 from lss_motion.program.move_table import lines_use

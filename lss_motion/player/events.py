@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,53 +38,46 @@ class Phase(StrEnum):
     DONE = "done"
 
 
-@dataclass(frozen=True, slots=True)
-class PhaseEntered:
+class PhaseEntered(Struct, frozen=True):
     """The player has entered a phase."""
 
     phase: Phase
 
 
-@dataclass(frozen=True, slots=True)
-class Warned:
+class Warned(Struct, frozen=True):
     """Something that a person should know and that stops nothing."""
 
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Noted:
+class Noted(Struct, frozen=True):
     """Something that a person has asked for, as it is now."""
 
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class MarkPassed:
+class MarkPassed(Struct, frozen=True):
     """The show has reached a keyframe."""
 
     label: str
     show_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Waited:
+class Waited(Struct, frozen=True):
     """The show has stopped at a wait (`begun`), or goes on since it was met or timed out."""
 
     text: str
     state: WaitState
 
 
-@dataclass(frozen=True, slots=True)
-class CueReached:
+class CueReached(Struct, frozen=True):
     """The show has reached a cue that is not motion; its sound must sound at `show_s`."""
 
     cue: Cue
     show_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Faulted:
+class Faulted(Struct, frozen=True):
     """A fault, and the `step` of `on_fault` that was taken about it.
 
     `cause` is a text with the fault and its remedy; `joint` is empty for a fault of a port.
@@ -98,8 +92,7 @@ class Faulted:
         return f"joint {self.joint!r} {self.cause}" if self.joint else self.cause
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class Found(Struct, frozen=True, kw_only=True):
     """One servo before anything moves. Angles are joint degrees; None: it did not report it."""
 
     joint: str
@@ -115,8 +108,7 @@ class Found:
     accel_max_deg_s2: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Checked:
+class Checked(Struct, frozen=True):
     """Every servo is present and may do what the program requires."""
 
     servos: tuple[Found, ...]
@@ -124,8 +116,7 @@ class Checked:
     """What a person may want to mend."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShowBegan:
+class ShowBegan(Struct, frozen=True):
     """A show of a run with many has begun at `from_s`."""
 
     name: str
@@ -134,8 +125,7 @@ class ShowBegan:
     """Whether it is played beside another show, on joints of its own."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointSummary:
+class JointSummary(Struct, frozen=True, kw_only=True):
     """How one joint followed the plan, as measured by its servo; None: it did not report it."""
 
     error_rms_deg: float
@@ -146,8 +136,7 @@ class JointSummary:
     current_max_a: float | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowSummary:
+class ShowSummary(Struct, frozen=True, kw_only=True):
     """One show that was played: instants on the run clock, places in show time."""
 
     name: str
@@ -166,8 +155,7 @@ class ShowSummary:
     joints: Mapping[str, JointSummary]
 
 
-@dataclass(frozen=True, slots=True)
-class ShowOver:
+class ShowOver(Struct, frozen=True):
     """A show of a run with many is over, or another one takes its place."""
 
     summary: ShowSummary

@@ -15,9 +15,10 @@ there: so it ends in step.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Literal, Protocol
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.player.approach import approach_s
@@ -75,8 +76,7 @@ class Step(StrEnum):
     JOINING = "rejoins"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FollowRule:
+class FollowRule(Struct, frozen=True, kw_only=True):
     """What is done without legs: go on for `freewheel_s` (None: for ever), then `lost`."""
 
     freewheel_s: float | None = 2.0

@@ -12,8 +12,10 @@ Answers are keyed by `(bus, servo id, keyword)`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import BusError, PlaybackError
 from lss_motion.player.cues import LED_KEYWORD

@@ -12,17 +12,17 @@ to seek, which brakes, and to the approach of another place. From these three, a
 this program may lead to recover, and from there through prepare and approach back to the show; or
 to stop, which brakes. `stage_player` adds standing, between the shows of a run with many.
 
-In every phase the player has one activity: a dialogue (`transactions`, `handshake`) or a streamer
-(`streamer`), or it waits. `session` holds what the phases share, `faults` decides about faults, and
-`StallDetector` reports when this process was held up.
+In every phase the player has one activity: a dialogue (`handshake`), a streamer, or it waits.
+`session` holds what the phases share, `faults` decides about faults, `StallDetector` finds stalls.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections import deque
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LostPortError, LssMotionError
 from lss_motion.player import handshake

@@ -11,8 +11,10 @@ The same calls as `transactions.Dialogue`; nothing but queries is sent.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import BusError
 from lss_motion.player import checks

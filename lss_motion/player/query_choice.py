@@ -15,6 +15,8 @@ from functools import lru_cache
 from itertools import chain, cycle
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
@@ -82,8 +84,7 @@ UNCORRECTED_DEG: Final = 0.3
 """It counts as strayed, too, if its correction differs from what it should be by more than this."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
+class Pace(Struct, frozen=True):
     """How often a second the angle of a joint is queried, where its line has room."""
 
     steady_hz: float
@@ -128,8 +129,7 @@ def _target_ns(state: JointState) -> float:
     return target_s if target_s == math.inf else ns_from_s(target_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Polled:
+class Polled(Struct, frozen=True):
     """What a choice depends on: the joints of each bus that answer, and what is known of them."""
 
     by_bus: Mapping[str, Sequence[JointState]]

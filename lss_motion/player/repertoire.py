@@ -8,8 +8,9 @@ of the run hold: `Repertoire.widened` adds them to it as joints without moves.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
@@ -144,7 +145,7 @@ class Repertoire:
             tolerance_deg=STANDING_TOLERANCE_DEG,
             drives=self._drives(),
         )
-        return replace(made, **more)  # type: ignore[arg-type]
+        return replace(made, **more)
 
 
 def _driving(program: Program, name: str) -> Driving:

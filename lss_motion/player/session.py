@@ -8,9 +8,10 @@ nothing.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.player import checks, handshake
 from lss_motion.player.approach import approach, with_room

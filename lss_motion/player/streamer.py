@@ -17,11 +17,12 @@ twice, or not at all.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
 from itertools import dropwhile
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.player.approach import with_room
 from lss_motion.player.cues import Waiting

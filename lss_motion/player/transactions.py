@@ -11,6 +11,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Protocol
 
+from msgspec import Struct
+
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.protocol.framing import encode
@@ -32,8 +34,7 @@ AGREE_TRIES: Final = 8
 third answer, one of 500 queries stays open."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Item:
+class Item(Struct, frozen=True, kw_only=True):
     """One command for one bus. A query waits for its answer, an order does not.
 
     With `agree_within`, a number is accepted when `agreeing` answers differ by no more than that

@@ -13,10 +13,10 @@ servo a column, so that an intersection reads memory in order; single precision,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.program.reference_grid import GRID_S
 
@@ -36,8 +36,7 @@ DIVISOR_LEAST: Final = np.float32(1e-20)
 """Turns an offset that no ramp reaches in time into a speed beyond all others, without a branch."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cones:
+class Cones(Struct, frozen=True):
     """The cones of some servos at some instants: `sides_deg_s` has shape (instants, 2, servos).
 
     Row `k` is `k` strides after the first grid instant that is not before the start. A side is the
@@ -91,8 +90,7 @@ def excursion_deg(position_deg: SingleArray, speed_deg_s: SingleArray, at: Point
     return excursion
 
 
-@dataclass(frozen=True, slots=True)
-class Starts:
+class Starts(Struct, frozen=True):
     """Profiles that receive a move `after_s` before the grid point `first` of their references.
 
     An array of one element stands for the same value for all.

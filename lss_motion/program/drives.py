@@ -13,10 +13,11 @@ period, at which it takes up a command.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.program.fit import TimedFit
 from lss_motion.program.line import with_phases
@@ -101,8 +102,7 @@ def late_max_s(joint: Joint) -> float:
             return 0.5 * LATEST_ARRIVAL_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
+class Choice(Struct, frozen=True, kw_only=True):
     """A robot without `auto`, and the reason for the drive of each joint that had it."""
 
     robot: Robot

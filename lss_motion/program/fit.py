@@ -11,10 +11,10 @@ angles in degrees; instants are those at which a servo receives a move.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.program.cones import CONE_RATIO, Starts, reach_steps
 from lss_motion.program.given import given_moves
@@ -71,8 +71,7 @@ def microseconds(times_s: FloatArray) -> IntArray:
     return whole
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows:
+class _Rows(Struct, frozen=True):
     """The segments under way, a row each. `travel_deg_s` belongs to the move at `state`."""
 
     segment: IntArray
@@ -109,8 +108,7 @@ def _is_next(requested_s: FloatArray, turn_s: float) -> BoolArray:
     return is_next
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitProblem:
+class FitProblem(Struct, frozen=True, kw_only=True):
     """What all segments share. `seams` are indices of the grid; `turn_s`: see `TURN_S`."""
 
     references: References

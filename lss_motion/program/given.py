@@ -93,7 +93,7 @@ def given_moves(
     return GivenMoves(kept_segments, kept, number[of_segment[chosen]])
 
 
-_VALUES = FittedMoves.__slots__[1:]
+_VALUES = FittedMoves.__struct_fields__[1:]
 """The columns of moves besides the joint."""
 
 

@@ -21,10 +21,11 @@ from __future__ import annotations
 import math
 from array import array
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.program.reference_grid import DURATION_MAX_MS
 from lss_motion.protocol.framing import Command, Reply, encode, encode_move
@@ -152,8 +153,7 @@ def _apart(latest_end_us: IntArray, sent_us: IntArray) -> IntArray:
     return ends_us
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LineUse:
+class LineUse(Struct, frozen=True, kw_only=True):
     """How a program uses one bus: the result of the check of its finished schedule."""
 
     bus: str

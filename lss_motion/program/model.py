@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text, known_names
@@ -53,8 +55,7 @@ class Move(NamedTuple):
         return encode_move(self.servo_id, self.target_wire, self.duration_ms)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Repeat:
+class Repeat(Struct, frozen=True, kw_only=True):
     """A part of the written program that is played `times`; None: until the show is stopped.
 
     What is written after the part is played after its last time, so much later.
@@ -74,8 +75,7 @@ class Repeat:
         return 0 if self.times is None else (self.times - 1) * self.period_us
 
 
-@dataclass(frozen=True, slots=True)
-class Driving:
+class Driving(Struct, frozen=True):
     """How a joint is commanded; `filter_count` is the FPC of a streamed joint, else 0."""
 
     drive: Drive
@@ -96,8 +96,7 @@ def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Program:
+class Program(Struct, frozen=True, kw_only=True, dict=True):
     """Moves in order of `due_us`, and what the player needs to start and judge the show.
 
     Show time 0 is the start of the plan. Moves may be due before it, since they lead the horn.

@@ -7,10 +7,12 @@ program of tens of thousands of moves is cheap to build. `Columns` adds what dep
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.program.line import line_use, reading_rate_hz
 from lss_motion.program.model import Move
@@ -109,8 +111,7 @@ def table_of(moves: Sequence[Move]) -> MoveTable:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+class Columns(Struct, frozen=True):
     """Moves, an element each. `joint` and `bus` are indices into those of the robot."""
 
     due_us: IntArray

@@ -8,11 +8,11 @@ sent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference_grid import LimitArrays
@@ -37,8 +37,7 @@ class Setpoint(NamedTuple):
     target_wire: int
 
 
-@dataclass(frozen=True, slots=True)
-class FittedJoint:
+class FittedJoint(Struct, frozen=True):
     """The moves of one joint in order, and the profile they make. A T of NaN is a bare `D`."""
 
     received_s: FloatArray
@@ -47,8 +46,7 @@ class FittedJoint:
     profile: PiecewiseProfile
 
 
-@dataclass(frozen=True, slots=True)
-class FittedMoves:
+class FittedMoves(Struct, frozen=True):
     """Timed moves to `target_wire` in `duration_ms`, and the profile's state at their receipt."""
 
     joint: IntArray
@@ -89,12 +87,14 @@ class FittedMoves:
 def no_moves() -> FittedMoves:
     """Return no moves."""
     none = np.zeros(0)
-    return FittedMoves(np.zeros(0, dtype=np.intp), *(none,) * (len(FittedMoves.__slots__) - 1))
+    return FittedMoves(
+        np.zeros(0, dtype=np.intp), *(none,) * (len(FittedMoves.__struct_fields__) - 1)
+    )
 
 
 def concatenated(parts: Sequence[FittedMoves]) -> FittedMoves:
     """Return all moves, one part after the other."""
-    names = FittedMoves.__slots__
+    names = FittedMoves.__struct_fields__
     return FittedMoves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
@@ -161,8 +161,7 @@ def _travel(
     return travel
 
 
-@dataclass(frozen=True, slots=True)
-class InitialMotion:
+class InitialMotion(Struct, frozen=True):
     """The motion of a servo before its reference begins.
 
     `first_s` is the latest instant at which it must receive its first move; None if it stands.

@@ -8,11 +8,11 @@ in flat arrays for the fit of timed moves.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.robot.profile import ramp_deg_s2
 
@@ -60,8 +60,7 @@ class GivenCommand(NamedTuple):
     duration_ms: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reference:
+class Reference(Struct, frozen=True, kw_only=True, dict=True):
     """What the profile of one servo should do: positions every `GRID_S` from `start_s` on.
 
     `given` are commands of the author in order, with which the profile does it.
@@ -101,8 +100,7 @@ class Reference:
         return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoLimits:
+class ServoLimits(Struct, frozen=True, kw_only=True):
     """The limits of the moves of one servo, in servo degrees, and the lattice of its targets."""
 
     position_min_deg: float

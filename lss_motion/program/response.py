@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -143,8 +143,7 @@ def _along(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class States:
+class States(Struct, frozen=True):
     """Positions and speeds of profiles, each at an instant of its own."""
 
     time_s: FloatArray
@@ -164,8 +163,7 @@ def concatenated_states(one: States, other: States) -> States:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Trapezoids:
+class Trapezoids(Struct, frozen=True):
     """Moves to rest: a ramp to the peak speed, a cruise, a ramp down, as `trapezoid` for one servo.
 
     Speeds and accelerations count in the direction of the move, `sign`.

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import LineLoadError
 from lss_motion.program.drives import late_max_s, make_fitter
@@ -218,8 +219,7 @@ def slot_us(joint: Joint, robot: Robot) -> int:
     return sent_us(len(longest_move(joint)), robot.buses[joint.bus].baud_bps)
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(Struct, frozen=True):
     """One way to fit a show: as if for the lines of `robot`, with `ratio` times the tolerance."""
 
     robot: Robot

@@ -10,11 +10,11 @@ reference.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.program.cones import (
     CONE_RATIO,
@@ -67,8 +67,7 @@ HARD_RATIO: Final = 0.3
 """A reference that leaves less than this share of the ramp to spare is hard to follow."""
 
 
-@dataclass(frozen=True, slots=True)
-class Landings:
+class Landings(Struct, frozen=True):
     """The best landing of each of many servos.
 
     The largest error until reference and servo rest, the instant at which the servo rests, T, and
@@ -132,8 +131,7 @@ def best_landings(
     return Landings(error_deg[best], landed_s[best], duration_ms[best], travel[best])
 
 
-@dataclass(frozen=True, kw_only=True)
-class MoveCandidates:
+class MoveCandidates(Struct, frozen=True, kw_only=True, dict=True):
     """Which moves are candidates: some instants of the successor, each with some travel speeds.
 
     cuts          shares of the longest possible move; the best has the successor that reaches
@@ -183,8 +181,7 @@ WIDE: Final = MoveCandidates(
 """Chosen: near the acceleration limit of a reference, fewer candidates lose it bit by bit."""
 
 
-@dataclass(frozen=True, slots=True)
-class Servos:
+class Servos(Struct, frozen=True):
     """Servos that need a move, an element each. Each successor is received up to index `latest`."""
 
     joint: IntArray
@@ -203,8 +200,7 @@ class Servos:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class NextMoves:
+class NextMoves(Struct, frozen=True):
     """The travel speed of each servo's next move, and when its successor is requested.
 
     `held_steps`: for how many grid steps one move can keep the tolerance.

@@ -9,11 +9,11 @@ where the servo comes to rest for an instant anyway.
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference_grid import GRID_S, STILL_ROUNDING_DEG
@@ -41,8 +41,7 @@ many."""
 Stop = tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(Struct, frozen=True):
     """One joint from a stop to the next. Instants in seconds.
 
     The segment begins in the stop that begins at the index `first` of the reference's grid. The

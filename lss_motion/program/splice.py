@@ -10,10 +10,12 @@ in motion: no joint stops, and nothing is compiled twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.program.line import LineSchedule, LineUse
@@ -37,8 +39,7 @@ HISTORY_S: Final = 1.0
 """Pieces of a profile that ended this long before a splice are dropped: longer than any lead."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Extension:
+class Extension(Struct, frozen=True, kw_only=True):
     """Moves that replace all those of a program that are due at or after `from_us`.
 
     Show time; `duration_s` is the instant at which the last horn arrives, `profiles` are the
@@ -53,8 +54,7 @@ class Extension:
     tolerance_deg: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpliceState:
+class SpliceState(Struct, frozen=True, kw_only=True, dict=True):
     """The program up to and including its last extension; immutable: `taken` returns a new one."""
 
     robot: Robot
@@ -64,10 +64,10 @@ class SpliceState:
     moves: Sequence[Move] = ()
     """The moves from the last splice on."""
     duration_s: float = 0.0
-    _lead_s: float = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_lead_s", splice_lead_s(self.robot, self.profiles))
+    @cached_property
+    def _lead_s(self) -> float:
+        return splice_lead_s(self.robot, self.profiles)
 
     def extended(self, trajectory: Trajectory, *, starts_s: float, from_s: float) -> Extension:
         """Return the extension that follows `trajectory` from show time `from_s` on.

@@ -30,9 +30,10 @@ import json
 import math
 import os
 import re
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import asdict
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
@@ -75,6 +76,7 @@ _REQUIRED = ("name", "robot", "duration_us", "tolerance_deg", "start_deg")
 
 def cue_line(cue: Cue) -> str:
     """Return the text of a cue after `# cue: `."""
+    plain = asdict(SoundStyle())
     content = {
         "led": dict(cue.led),
         "say": cue.say,
@@ -82,11 +84,7 @@ def cue_line(cue: Cue) -> str:
         "folder": cue.folder,
         "sound": cue.sound,
         "lead_s": cue.lead_s,
-        "style": {
-            item.name: value
-            for item in fields(SoundStyle)
-            if (value := getattr(cue.style, item.name)) != item.default
-        },
+        "style": {name: value for name, value in asdict(cue.style).items() if value != plain[name]},
     }
     kept = {key: value for key, value in content.items() if value}
     return f"{us_from_s(cue.at_s)} {json.dumps(kept)}"
@@ -119,7 +117,7 @@ def read_cue(text: str, joints: Collection[str]) -> Cue:
 
 def _style(values: object) -> SoundStyle:
     """Return how a sound is played; raises `ValueError` for anything else."""
-    known = {item.name: type(item.default) for item in fields(SoundStyle)}
+    known = {name: type(value) for name, value in asdict(SoundStyle()).items()}
     known["lasts_s"] = float
     if not isinstance(values, dict) or not values.keys() <= known.keys():
         raise ValueError(f"style is an object with {', '.join(known)}")

@@ -10,10 +10,10 @@ own and no result of planner or fit. Programs edited by hand pass through here t
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
+from msgspec.structs import replace
 
 from lss_motion.errors import LineLoadError, PlanningError
 from lss_motion.program.line import with_phases

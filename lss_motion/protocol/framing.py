@@ -13,10 +13,11 @@ never raise. The tables of the families define the keywords and their values.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,8 +57,7 @@ class Reply(NamedTuple):
 ItemT = TypeVar("ItemT", Command, Reply)
 
 
-@dataclass(frozen=True, slots=True)
-class Garbage:
+class Garbage(Struct, frozen=True):
     """Received bytes that are not a valid line. Callers count them."""
 
     data: bytes

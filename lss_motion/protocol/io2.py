@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.protocol.constants import BAUD_RATES_BPS, Family
 from lss_motion.protocol.lss import LSS_TABLE

@@ -9,10 +9,12 @@ table for the units of one robot, whose file may set them (key `units`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import OUTPUT_MAX_US, OUTPUT_MIN_US
@@ -43,8 +45,7 @@ ACCEL_MAX_DEG_S2: Final = 1000.0
 (AA)), whatever the unit is. Assumed: the maker's code sets at most 100 deg/s² (FACTS.md P9)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Units:
+class Units(Struct, frozen=True, kw_only=True):
     """What one unit on the wire is for an LSS-PRO, and the range of an RC servo on an LSS-2IO.
 
     A wrong unit makes a servo move at a multiple of its speed. The first slow move of a new robot

@@ -8,11 +8,13 @@ protocol of 2023-12-14, and the LSS-2IO protocol for the 2RC mode of 2020-02-07.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from enum import StrEnum
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from lss_motion.errors import ProtocolError
 
@@ -118,8 +120,7 @@ SPEED: Final = {**SESSION_OR_CONFIG, 2: Suffix.INSTANTANEOUS, 3: Suffix.TARGET}
 """Suffixes of the speed queries (FACTS.md C4)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(Struct, frozen=True, kw_only=True):
     """One value that can be commanded, queried or configured. Ranges and defaults are wire values.
 
     `actions`, `queries`, `configs`  keywords of the three forms; a row may have several of one form
@@ -163,12 +164,12 @@ class Row:
     firmware: int = 0
     devices: tuple[Device, ...] = ()
     note: str = ""
-    _scale: tuple[int, int, float] = field(init=False, repr=False, compare=False)
+    _scale: tuple[int, int, float] = (1, 1, 1.0)
     """Numerator, denominator and value of `wire_per_unit`: a `Fraction` computes them slowly."""
 
     def __post_init__(self) -> None:
         numerator, denominator = self.wire_per_unit.as_integer_ratio()
-        object.__setattr__(self, "_scale", (numerator, denominator, numerator / denominator))
+        force_setattr(self, "_scale", (numerator, denominator, numerator / denominator))
 
     def physical(self, wire: int) -> float:
         """Return the value in `unit`, correctly rounded; values with scale 1 stay int (codes)."""
@@ -208,8 +209,7 @@ class Row:
         return f"{self.physical(self.minimum):.12g} to {self.physical(self.maximum):.12g}{unit}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FamilyTable:
+class FamilyTable(Struct, frozen=True, kw_only=True):
     """Every row of a family, by keyword.
 
     `by_keyword` holds actions, queries and configurations. `modifiers` is a separate name space,

@@ -9,9 +9,10 @@ Nothing is written before the person agrees.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError, PlaybackError
 from lss_motion.files.source import known_names

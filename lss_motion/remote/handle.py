@@ -17,8 +17,9 @@ import queue
 import socket
 import sys
 import threading
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.closing import Closing
 from lss_motion.connection import with_port
@@ -49,8 +50,7 @@ KEPT_EVENTS: Final = 10_000
 """Events that `events` has not returned yet; older ones are dropped."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Struct, frozen=True):
     """One joint at the last moment that is known: joint degrees; None where nothing was read."""
 
     planned_deg: float

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
 
 from lss_motion.errors import LssMotionError
 from lss_motion.player.following import Following, FollowRule, require_can_follow
@@ -19,8 +20,7 @@ if TYPE_CHECKING:
     from lss_motion.trajectory.model import Trajectory
 
 
-@dataclass(frozen=True, kw_only=True)
-class Job:
+class Job(Struct, frozen=True, kw_only=True):
     """What is played, and how: the arguments of `perform`, and the rule for a lost operator."""
 
     program: Program
@@ -40,8 +40,7 @@ class Job:
         return play(self, Steering(operator, self.rule, following=following))
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Struct, frozen=True):
     """How a job ended: with a report, unless it could not begin."""
 
     report: Report | None

@@ -15,6 +15,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
 from lss_motion.maintenance.hands_on import HandsOn
@@ -52,8 +54,7 @@ HEALTH_EVERY: Final = 5
 """Health is sent with every fifth of them."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LiveJob:
+class LiveJob(Struct, frozen=True, kw_only=True):
     """A robot that a client moves."""
 
     robot: Robot

@@ -8,8 +8,9 @@ most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.player import events
@@ -45,8 +46,7 @@ RATE_EVERY_NS: Final = 100 * NS_PER_MS
 as long; more changes a second would only fill the line with moves."""
 
 
-@dataclass(frozen=True, slots=True)
-class LossRule:
+class LossRule(Struct, frozen=True):
     """When the operator counts as lost, and what is done then.
 
     `silent_s`: without a message for so long; None: only when the link is closed.

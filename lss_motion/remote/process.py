@@ -17,9 +17,10 @@ import socket
 import subprocess
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
+
+from msgspec.structs import replace
 
 from lss_motion.remote.link import Kind, Link
 from lss_motion.remote.operator_end import Operator

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lss_motion.errors import LssMotionError
 from lss_motion.remote import schema as m
@@ -17,8 +18,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScanJob:
+class ScanJob(Struct, frozen=True, kw_only=True):
     """The buses of a robot, each at the rate of the robot file; `lss-motion scan` tries all."""
 
     robot: Robot

@@ -10,8 +10,9 @@ Here a client decides. A stage file lets the player itself decide, by its cues (
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
@@ -31,16 +32,14 @@ if TYPE_CHECKING:
     from lss_motion.runtime.stage_report import StageReport
 
 
-@dataclass(frozen=True, slots=True)
-class ShowsOutcome:
+class ShowsOutcome(Struct, frozen=True):
     """How a run ended: with a report, unless it could not begin."""
 
     report: StageReport | None
     error: LssMotionError | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShowsJob:
+class ShowsJob(Struct, frozen=True, kw_only=True):
     """The shows by name, and how they are played: the arguments of `perform_stage`."""
 
     programs: Mapping[str, Program]

@@ -8,8 +8,9 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Self
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 
@@ -30,8 +31,7 @@ LAYOUT: Final[Mapping[str, int | str]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Telemetry:
+class Telemetry(Struct, frozen=True):
     """Where every joint is at one instant: planned, predicted and read angle in joint degrees.
 
     A joint that was not read yet has NaN. The bytes: `LAYOUT`.

@@ -11,8 +11,9 @@ a robot file (`robot.load`), from its `urdf` (`robot.urdf`) or from the legs of 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -43,8 +44,7 @@ DIRECTIONS: Final[Mapping[str, Vector]] = {
 """x forward, y left, z up."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shape:
+class Shape(Struct, frozen=True, kw_only=True):
     """A solid in the frame of a link, as in URDF.
 
     `size_mm`: of a box x, y, z; of a cylinder radius and length (along z); of a sphere its radius.
@@ -59,8 +59,7 @@ class Shape:
     path: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FigureLink:
+class FigureLink(Struct, frozen=True, kw_only=True):
     """One rigid part. `parent` is the index of an earlier link; -1: the ground.
 
     `joint` is the joint of the robot that turns it about `axis` (a unit vector of its own frame);
@@ -80,8 +79,7 @@ class FigureLink:
     shapes: tuple[Shape, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
+class Figure(Struct, frozen=True, kw_only=True):
     """Links, parents first. The robot stands on `feet`: links, and points of their frames."""
 
     source: Literal["figure", "legs", "urdf"]

@@ -6,10 +6,12 @@ is left out of later checks, so that one mistake is reported once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec.structs import replace
 
 from lss_motion.errors import ProtocolError
 from lss_motion.files.source import known_names

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
+
+from msgspec import Struct, field
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import counted
+from lss_motion.files.source import Located, counted
 from lss_motion.protocol.codec import Language
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, UNITS, Units
@@ -62,8 +63,7 @@ HALF_TURN_DEG: Final = 180.0
 360 deg apart, so a horn that seems to be further away than this is in another one."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Response:
+class Response(Struct, frozen=True, kw_only=True):
     """What is assumed of a servo between the command and the horn. Every field is an assumption.
 
     `lag_s`        the horn follows the servo's own profile this much later
@@ -86,8 +86,7 @@ class Response:
     t_law: Literal["cruise", "exact"] = "cruise"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoModel:
+class ServoModel(Struct, frozen=True, kw_only=True):
     """One row of the table of servo models (`robot.servo_models`)."""
 
     name: str
@@ -112,8 +111,7 @@ class ServoModel:
         return Language(self.family, self.units)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bus:
+class Bus(Struct, frozen=True, kw_only=True):
     """One serial line. `port` is a pyserial URL, a device name, or `sim://`."""
 
     name: str
@@ -135,13 +133,13 @@ class Bus:
         return self.pro_firmware if family is Family.LSS_PRO else self.firmware
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Joint:
+class Joint(Located, frozen=True, kw_only=True):
     """One servo with its name, limits, direction and zero.
 
     Joint angle and servo angle: `servo_deg = zero_deg + direction * joint_deg`.
     """
 
+    _where: ClassVar = frozenset({"lines"})
     name: str
     servo_id: int
     bus: str
@@ -182,7 +180,7 @@ class Joint:
     """FPC of a streamed joint. Chosen: see `program.streamed`."""
     filter_phase_ratio: float = 0.0
     """When in its period the filter of a streamed joint is assumed to step (`verify.driven`)."""
-    lines: Mapping[str, int] = field(default_factory=dict, compare=False, repr=False)
+    lines: Mapping[str, int] = field(default_factory=dict)
     """The line of each field in the robot file."""
 
     @property
@@ -246,8 +244,7 @@ class Joint:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class Sensor(Struct, frozen=True, kw_only=True):
     """One analog input of an LSS-2IO, which is read with `QA`.
 
     `kind` is `raw` (0 to 1023), or the model of the distance sensor at that input; the board
@@ -265,21 +262,20 @@ class Sensor:
         return "raw" if self.kind == "raw" else "mm"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UrdfSource:
+class UrdfSource(Located, frozen=True, kw_only=True):
     """The URDF file of a robot, as its robot file names it; it is read where it is drawn."""
 
+    _where: ClassVar = frozenset({"lines"})
     path: Path
     robot_path: Path
     """The robot file; nothing outside of its folder is read."""
     joints: Mapping[str, str]
     """The joint of the URDF file for each joint of the robot, where the names differ."""
-    lines: Mapping[str, int] = field(default_factory=dict, compare=False, repr=False)
+    lines: Mapping[str, int] = field(default_factory=dict)
     """The line of each of `joints` in the robot file, and of `file` (an empty name)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Robot:
+class Robot(Struct, frozen=True, kw_only=True):
     """Buses and joints by name, in the order of the file, and the named poses."""
 
     name: str

@@ -7,9 +7,11 @@ robot against them, and against the limits of an LSS-2IO for the bus that it is 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode_move
@@ -35,8 +37,7 @@ IO2_WIRE_STEP: Final = 10
 """A 2IO receives tenths of a degree and rounds them to whole degrees (FACTS.md B6)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FamilyFacts:
+class FamilyFacts(Struct, frozen=True, kw_only=True):
     """Facts that hold for all models of a family.
 
     `drives` are the drives that it allows, the default first.

@@ -7,8 +7,9 @@ not at all, after the new text was loaded and compared with the expected robot.
 from __future__ import annotations
 
 import codecs
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.output import write_output

@@ -9,11 +9,12 @@ import os
 import re
 import sys
 import time
-from dataclasses import dataclass
 from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.runtime.clock import MonotonicClock
 from lss_motion.runtime.port import list_devices, permission_hint
@@ -50,8 +51,7 @@ class Level(StrEnum):
     BAD = "BAD"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class Finding(Struct, frozen=True, kw_only=True):
     """The result of one check. `fix` is empty where nothing has to be done."""
 
     subject: str

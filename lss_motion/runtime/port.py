@@ -14,9 +14,10 @@ import os
 import select
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec import Struct
 
 from lss_motion.errors import BlockedPortError, BusError, LostPortError
 from lss_motion.units import NS_PER_MS, NS_PER_S, line_time_ns, s_from_ns
@@ -429,8 +430,7 @@ class ReopeningPort:
         self._found(now_ns)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Device:
+class Device(Struct, frozen=True, kw_only=True):
     """A serial port of this computer. `name` is the text that its USB chip reports."""
 
     path: str

@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
 from lss_motion.player.show_clock import Leg
@@ -29,8 +31,7 @@ LOG_MAX_BYTES: Final = 500_000_000
 """The most that is read of a log. A show of 18 joints writes about 100 MB an hour."""
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(Struct, frozen=True):
     """One line of a log. `data` are the bytes of a `>` or `<` line, `text` is its raw content."""
 
     at_ns: int

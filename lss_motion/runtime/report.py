@@ -11,10 +11,10 @@ import itertools
 import json
 import math
 import re
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
+from msgspec import Struct, to_builtins
 
 from lss_motion.files.output import write_output
 from lss_motion.files.source import counted
@@ -56,8 +56,7 @@ JUMP_S: Final = 0.001
 _NUMBERS: Final = re.compile(r"\[([-\d.,e\s]+)\]")
 
 
-@dataclass(frozen=True, kw_only=True)
-class TimingReport:
+class TimingReport(Struct, frozen=True, kw_only=True):
     """When commands left the host, compared with the instants at which they were due."""
 
     commands: int
@@ -70,8 +69,7 @@ class TimingReport:
     """`(up to, count)`: commands that were late by at most `up to` and more than the one before."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class BusReport:
+class BusReport(Struct, frozen=True, kw_only=True):
     """Bytes and replies of one bus."""
 
     baud_bps: int
@@ -89,8 +87,7 @@ class BusReport:
     on this bus, or something sends by itself."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TraceReport:
+class TraceReport(Struct, frozen=True, kw_only=True):
     """Readings of a joint, evenly spread over the run: seconds since its start, joint degrees."""
 
     at_s: tuple[float, ...]
@@ -98,8 +95,7 @@ class TraceReport:
     measured_deg: tuple[float, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlanReport:
+class PlanReport(Struct, frozen=True, kw_only=True):
     """The plan of a joint: straight between these, within `PLAN_TOLERANCE_DEG`; as `TraceReport`.
 
     Pauses and other speeds are in it: it is where the joint should have been in this run.
@@ -109,8 +105,7 @@ class PlanReport:
     deg: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
-class HappenedReport:
+class HappenedReport(Struct, frozen=True, kw_only=True):
     """A keyframe or an event that the run came to, in seconds since its start."""
 
     kind: str
@@ -120,8 +115,7 @@ class HappenedReport:
     text: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class JointReport:
+class JointReport(Struct, frozen=True, kw_only=True):
     """How one joint followed the plan, as measured by its servo."""
 
     readings: int
@@ -147,8 +141,7 @@ class JointReport:
     horn_error_max_deg: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Report:
+class Report(Struct, frozen=True, kw_only=True):
     """The numbers of one run. `to_dict` gives them as the JSON object of `--report`."""
 
     schema: int = SCHEMA_VERSION
@@ -191,7 +184,7 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as the object that `json.dumps` writes."""
-        found = asdict(self)
+        found: dict[str, Any] = to_builtins(self)
         for joint in found["joints"].values():
             for key in ("horn_error_rms_deg", "horn_error_max_deg"):
                 if joint[key] is None:

@@ -10,8 +10,9 @@ import contextlib
 import os
 import socket
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Self
+
+from msgspec import Struct
 
 from lss_motion.runtime.real_time import PRIORITY
 
@@ -30,8 +31,7 @@ START_S: Final = 300
 RESTART_S: Final = 5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Unit:
+class Unit(Struct, frozen=True, kw_only=True):
     """What the unit of one stage holds."""
 
     stage: str

@@ -7,8 +7,10 @@ comes.
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, to_builtins
 
 from lss_motion.player.events import ShowOver, Warned
 from lss_motion.runtime.report import bus_report
@@ -58,8 +60,7 @@ class ShowTotals:
                 self.error_max_deg, self.error_max_joint = joint.error_max_deg, name
 
 
-@dataclass(frozen=True, kw_only=True)
-class StageReport:
+class StageReport(Struct, frozen=True, kw_only=True):
     """The numbers of one run with many shows."""
 
     schema: int = STAGE_SCHEMA_VERSION
@@ -79,7 +80,8 @@ class StageReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as an object for `json.dumps`."""
-        return asdict(self)
+        found: dict[str, Any] = to_builtins(self)
+        return found
 
 
 class Ledger:

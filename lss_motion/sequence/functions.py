@@ -10,11 +10,12 @@ import ast
 import contextlib
 import importlib
 from collections import Counter
-from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.record import note_unrepeatable
@@ -30,8 +31,7 @@ DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"}
 """A module that uses one of these, or a star import, can have names that its source lacks."""
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
+class Call(Struct, frozen=True):
     """A function of a show, the files that are run for it, and how often it is called."""
 
     run: str

@@ -6,9 +6,11 @@ is left out of later checks, so that one mistake is reported once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.record import looked_for

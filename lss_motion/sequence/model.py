@@ -5,11 +5,12 @@ They are immutable. `sequence.load` makes them from files; `trajectory` plans th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
-from lss_motion.files.source import counted
+from msgspec import Struct, field
+
+from lss_motion.files.source import Located, counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,14 +65,14 @@ LINEAR_RAMP_RATIO: Final = 0.25
 the mean. All joints use the same share, so that the line stays straight."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Keyframe:
+class Keyframe(Located, frozen=True, kw_only=True):
     """Joint angles to be reached at one instant, and kept for `hold_s`.
 
     `at_s` is absolute (relative times are resolved by the loader) and None for every keyframe
     of a `fastest` sequence that gives no times. `line` is the line in the file, from 1.
     """
 
+    _where: ClassVar = frozenset({"line"})
     deg: Mapping[str, float]
     at_s: float | None = None
     hold_s: float = 0.0
@@ -85,11 +86,10 @@ class Keyframe:
     ease: Interpolation = Interpolation.SMOOTH
     """How the named joints travel *to* this keyframe; the default of the file is applied."""
     label: str = ""
-    line: int | None = field(default=None, compare=False)
+    line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SoundStyle:
+class SoundStyle(Struct, frozen=True, kw_only=True):
     """How a sound is played. The defaults: once, as it is, to its end."""
 
     gain_db: float = 0.0
@@ -104,13 +104,13 @@ class SoundStyle:
     """It is cut this long after its start, in show time; None: only where it ends."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cue:
+class Cue(Located, frozen=True, kw_only=True):
     """An event that is not motion, at `at_s` of the show: one of `led`, `say`, `run`, `sound`.
 
     In a sequence, `at_s` is the time that the author gives; in a plan, the time that it comes to.
     """
 
+    _where: ClassVar = frozenset({"line"})
     at_s: float
     led: tuple[tuple[str, int], ...] = ()
     """Joints and the codes of the colours (`LED`) that they are set to."""
@@ -125,7 +125,7 @@ class Cue:
     style: SoundStyle = SoundStyle()
     folder: str = ""
     """Folder of the sequence file; set for `run` only."""
-    line: int | None = field(default=None, compare=False)
+    line: int | None = None
 
     @property
     def text(self) -> str:
@@ -140,8 +140,7 @@ class Cue:
         return self.at_s - self.lead_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wait:
+class Wait(Struct, frozen=True, kw_only=True):
     """The show pauses until a sensor reads below or above `threshold`, in the unit of the sensor.
 
     It continues after `timeout_s` in any case; None: no timeout.
@@ -156,8 +155,7 @@ class Wait:
         return value < self.threshold if self.side == "below" else value > self.threshold
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class Step(Struct, frozen=True, kw_only=True):
     """One entry of a play list: a sequence, a pause or a wait (then `sequence` is the idle motion).
 
     `move_s` is how long the move to its first keyframe takes, where the robot stands elsewhere;
@@ -171,14 +169,14 @@ class Step:
     move_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layer:
+class Layer(Located, frozen=True, kw_only=True):
     """A sequence on top of the show from `from_s` to `to_s` (None: to its last keyframe).
 
     `override` replaces the angles of the show, `add` adds to them, both weighted by `weight`. The
     weight rises from 0 over the first `fade_s` and falls to 0 over the last.
     """
 
+    _where: ClassVar = frozenset({"line"})
     sequence: Sequence
     joints: tuple[str, ...]
     """Only these joints; those that the sequence does not key are left as they are."""
@@ -187,21 +185,21 @@ class Layer:
     from_s: float = 0.0
     to_s: float | None = None
     fade_s: float = 0.0
-    line: int | None = field(default=None, compare=False)
+    line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sequence:
+class Sequence(Located, frozen=True, kw_only=True):
     """Keyframes in order of time, with tracks, play list, layers and events.
 
     `loop` is how often the keyframes (or the play list) are played; None is forever. Files and
     lines are not compared: two sequences with the same content are equal.
     """
 
+    _where: ClassVar = frozenset({"path", "robot_path"})
     name: str
     keyframes: tuple[Keyframe, ...] = ()
-    path: Path | None = field(default=None, compare=False)
-    robot_path: Path | None = field(default=None, compare=False)
+    path: Path | None = None
+    robot_path: Path | None = None
     timing: Timing = Timing.AUTHORED
     fit_duration_s: float | None = None
     """Only with `Timing.FIT`: how long one pass takes."""

@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
@@ -87,8 +90,7 @@ def _exchanged(angles_deg: Mapping[str, float], images: Images) -> dict[str, flo
     return exchanged
 
 
-@dataclass(frozen=True, slots=True)
-class FileContext:
+class FileContext(Struct, frozen=True):
     """The place of a file within a show.
 
     `files` are those that include it, so that a file cannot include itself. `is_offset`: its angles

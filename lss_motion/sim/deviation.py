@@ -11,9 +11,11 @@ player: it changes only how the simulated servos and their line are made.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
@@ -28,8 +30,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Deviation:
+class Deviation(Struct, frozen=True, kw_only=True):
     """Differences from the simulator's defaults (`physics`); the defaults here are none."""
 
     lag_s: float = 0.0

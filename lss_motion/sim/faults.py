@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 from lss_motion.protocol.constants import RESET_S
 from lss_motion.units import ns_from_s, s_from_ns
@@ -154,8 +155,7 @@ FOREVER_NS = 2**62
 """The end of a fault without an end: 146 years."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fault:
+class Fault(Struct, frozen=True, kw_only=True):
     """One row. Times count from power-up, in the servos' time.
 
     `servo_id`       id of the servo; None: all servos, or the line
@@ -192,7 +192,7 @@ class Fault:
     drift_ppm: float = 0.0
     raw: int = 0
     deaf_s: float = RESET_S
-    settings: Mapping[str, int] = field(default_factory=dict, hash=False)
+    settings: Mapping[str, int] = field(default_factory=dict)
     supply_v: float = 0.0
     setting: str = ""
     scale_ratio: float = 1.0
@@ -214,8 +214,7 @@ class Fault:
         return origin_ns + ns_from_s(self.at_s), until_ns
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(Struct, frozen=True):
     """An instant at which a fault of a servo begins or ends."""
 
     due_ns: int

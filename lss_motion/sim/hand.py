@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
@@ -34,8 +34,7 @@ HAND_DEG_S: Final = 600.0
 """As fast as a hand turns a horn that was elsewhere when it was let go. Assumed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Led:
+class Led(Struct, frozen=True, eq=False):
     """Servo angles at increasing times, in seconds from power-up, where a hand leads one horn."""
 
     times_s: FloatArray
@@ -51,8 +50,7 @@ class Led:
         return time_s > float(self.times_s[-1])
 
 
-@dataclass(frozen=True, slots=True)
-class Push:
+class Push(Struct, frozen=True):
     """A push that displaces a powered horn by `deg` (servo angle), in seconds from power-up."""
 
     from_s: float
@@ -60,8 +58,7 @@ class Push:
     deg: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hand:
+class Hand(Struct, frozen=True, eq=False):
     """Joint angles (degrees) at increasing times, in seconds from power-up; straight between.
 
     A limp servo stands where the hand is; a powered one yields a little, the more the softer it

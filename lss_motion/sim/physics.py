@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
+
+from msgspec import Struct, field
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,8 +19,7 @@ FILTER_TICKS = 4
 """The EM0 filter steps every 20 ms, four control loops (FACTS.md M6)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Turnaround:
+class Turnaround(Struct, frozen=True, kw_only=True):
     """Instants between the last byte of a query and the first byte of its reply.
 
     `single_min_ns` … `single_max_ns`: uniform, for one query. The other three belong to the
@@ -41,8 +41,7 @@ class Turnaround:
     command."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Physics:
+class Physics(Struct, frozen=True, kw_only=True):
     """The numbers that every servo of a bus shares. An *assumed* default has no published source.
 
     `lag_s`                 first-order lag of the horn behind the servo's own profile. Assumed.
@@ -135,8 +134,7 @@ class Physics:
             raise ValueError(f"lag_s is {self.lag_s}; a horn needs a lag above 0")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoSpec:
+class ServoSpec(Struct, frozen=True, kw_only=True):
     """One servo on the bus when the power comes on.
 
     `start_deg`   raw angle of the horn at power-up, within ±180 (FACTS.md R5: turns are lost): from

@@ -8,9 +8,10 @@ are raw.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, NamedTuple
+
+from msgspec import Struct
 
 TINY_S = 1e-9
 """Phases shorter than this are left out: one nanosecond, the resolution of an instant."""
@@ -198,8 +199,7 @@ class SafeCause(IntEnum):
     TEMPERATURE = 3
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileMove:
+class ProfileMove(Struct, frozen=True):
     """Go to `target_deg` by the profile, in `duration_s` or at the travel speed of `ramps`."""
 
     target_deg: float
@@ -207,8 +207,7 @@ class ProfileMove:
     duration_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Chase:
+class Chase(Struct, frozen=True):
     """Go to `target_deg` through the EM0 filter.
 
     With `is_repeated` (IPE) the filter steps by itself every 20 ms, without once an order.
@@ -219,8 +218,7 @@ class Chase:
     is_repeated: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Wheel:
+class Wheel(Struct, frozen=True):
     """Turn for ever; without ramps (EM0) at full speed from one control loop to the next.
 
     `is_free`: a share of the motor's power and nothing that controls it (RDM).
@@ -231,13 +229,11 @@ class Wheel:
     is_free: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Halt:
+class Halt(Struct, frozen=True):
     """Stop the profile at once where it is, and hold; the horn closes up within its lag."""
 
 
-@dataclass(frozen=True, slots=True)
-class Limp:
+class Limp(Struct, frozen=True):
     """Take the power off. Friction keeps the horn where it is."""
 
 

@@ -11,10 +11,10 @@ the music is half way between them: near 1, a person must decide by ear.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.sound.files import SoundReader
@@ -61,8 +61,7 @@ SECONDS_MIN: Final = 4.0
 STRENGTH_MIN: Final = 1e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Beats:
+class Beats(Struct, frozen=True, kw_only=True, eq=False):
     """The beats that were found, and how sure that is."""
 
     at_s: FloatArray

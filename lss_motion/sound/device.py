@@ -9,10 +9,10 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.closing import Closing
 from lss_motion.files.source import known_names
@@ -38,8 +38,7 @@ class NoDeviceError(Exception):
     """No sound can be played; the text says why and what to do."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Device:
+class Device(Struct, frozen=True, kw_only=True):
     """A device that can play, as its driver states it."""
 
     name: str

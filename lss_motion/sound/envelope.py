@@ -10,11 +10,12 @@ joint; a ratio from 0 to 1 becomes an angle elsewhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.sound.files import SoundReader
@@ -54,8 +55,7 @@ SILENT: Final = 1e-5
 """A file that is never louder than -100 dB is silent."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MouthStyle:
+class MouthStyle(Struct, frozen=True, kw_only=True):
     """How a level becomes an opening."""
 
     band_hz: tuple[float, float] = (150.0, 5000.0)
@@ -72,8 +72,7 @@ class MouthStyle:
     """Each syllable opens at least so far."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Loudness:
+class Loudness(Struct, frozen=True, kw_only=True, eq=False):
     """The level of a sound, every `step_s` from its beginning on."""
 
     step_s: float
@@ -91,8 +90,7 @@ class Loudness:
         return float(np.percentile(audible, FULL_PERCENT))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Turn:
+class Turn(Struct, frozen=True, kw_only=True):
     """A place where a curve turns, or rests for `hold_s`."""
 
     at_s: float

@@ -12,10 +12,10 @@ hundred times faster than it sounds, or more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.closing import Closing
 from lss_motion.errors import InputError
@@ -37,8 +37,7 @@ READ_MAX_S: Final = 3600.0
 """The most that `read_sound` takes into memory: 0.6 GB in mono at 44.1 kHz. Chosen."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SoundInfo:
+class SoundInfo(Struct, frozen=True, kw_only=True):
     """What the head of a sound file states."""
 
     path: Path

@@ -6,10 +6,10 @@ is late. Memory is that of one piece, however long the file is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.sound.files import STEREO, as_stereo
@@ -31,8 +31,7 @@ PIECE_SAMPLES: Final = 1 << 17
 """Windows that are transformed at once have so many samples together: some MB. Chosen."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class Part(Struct, frozen=True, kw_only=True):
     """Which samples of a file are analysed: a channel, from `from_s` to `to_s` (None: the end)."""
 
     path: Path
@@ -75,8 +74,7 @@ class Part:
                 return samples[:, number - 1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class Grid(Struct, frozen=True, kw_only=True):
     """Where the windows of a file are: one every `hop` samples, each `window` samples long."""
 
     rate_hz: int

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.sound.envelope import MouthStyle, loudness
@@ -28,8 +28,7 @@ NUMBERS_MAX: Final = 40
 """Beats that are numbered; of more, only some are."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Waveform:
+class Waveform(Struct, frozen=True, kw_only=True, eq=False):
     """Columns of a sound; `level` is its loudness from 0 to 1 at `level_at_s`."""
 
     at_s: FloatArray

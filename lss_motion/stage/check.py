@@ -7,8 +7,10 @@ expect in the evening is a finding: it is printed, and stops nothing.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion import shows
 from lss_motion.errors import InputError, LssMotionError, PlanningError
@@ -25,16 +27,14 @@ if TYPE_CHECKING:
     from lss_motion.stage.model import Stage, Trigger
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(Struct, frozen=True):
     """What an author may not expect, and the line of the stage file."""
 
     line: int | None
     text: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Planned:
+class Planned(Struct, frozen=True, kw_only=True):
     """A stage with its shows planned and compiled, by name; with figures, those of one."""
 
     stage: Stage

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import pickle
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from msgspec import Struct, field
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
@@ -46,16 +47,14 @@ STATE_NS: Final = NS_PER_S
 """The state is sent this often, and after each note."""
 
 
-@dataclass(frozen=True, slots=True)
-class StageOutcome:
+class StageOutcome(Struct, frozen=True):
     """How a stage ended: with the report of its last run, unless none could begin."""
 
     report: StageReport | None
     error: LssMotionError | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class StageJob:
+class StageJob(Struct, frozen=True, kw_only=True):
     """A planned stage, and how it is run.
 
     `options` are fields of `running.Options`, `start_at` as an ISO text, and `log_folder`; others

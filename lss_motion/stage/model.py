@@ -6,10 +6,11 @@ from files. `Signal` is what arrives from outside and may fire a cue.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec import Struct, field
 
 from lss_motion.robot.on_fault import RESUMABLE, Cause
 
@@ -48,8 +49,7 @@ class Kind(StrEnum):
     """An operator, or another program, fires a cue by its name; no cue waits for it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trigger:
+class Trigger(Struct, frozen=True, kw_only=True):
     """What fires a cue.
 
     `address` names the source: sensor, key, OSC address, HTTP name, MQTT topic, MIDI number, GPIO
@@ -78,8 +78,7 @@ class Trigger:
         return f"{self.kind} {self.address}{side}{channel}".strip()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Signal:
+class Signal(Struct, frozen=True, kw_only=True):
     """What arrived from outside, or happened: one reading, message, key or instant."""
 
     kind: Kind
@@ -96,8 +95,7 @@ class Signal:
         return f"{self.kind} {self.address}".strip() + value + source
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cue:
+class Cue(Struct, frozen=True, kw_only=True):
     """What is played or done on a trigger."""
 
     name: str
@@ -122,8 +120,7 @@ class Cue:
         return self.follows and len(self.shows) == 1 and self.start != "add"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StageShow:
+class StageShow(Struct, frozen=True, kw_only=True):
     """One show; `paths` has its file, by figure. The only figure of a simple stage is ``."""
 
     name: str
@@ -136,8 +133,7 @@ class StageShow:
         return next(iter(self.paths.values()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimecodeInput:
+class TimecodeInput(Struct, frozen=True, kw_only=True):
     """The timecode that the stage follows."""
 
     source: Literal["ltc", "mtc", "artnet", "fpp"]
@@ -149,8 +145,7 @@ class TimecodeInput:
     line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SendOutput:
+class SendOutput(Struct, frozen=True, kw_only=True):
     """Where the show clock is sent."""
 
     kind: Literal["mtc", "ltc", "artnet", "fpp", "osc"]
@@ -160,16 +155,14 @@ class SendOutput:
     line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sync:
+class Sync(Struct, frozen=True, kw_only=True):
     """What leads the shows, and what they lead."""
 
     timecode: TimecodeInput | None = None
     send: tuple[SendOutput, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Listen:
+class Listen(Struct, frozen=True, kw_only=True):
     """Where triggers and operators come from; None: not at all. Ports are `(host, port)`."""
 
     http: tuple[str, int] | None = None
@@ -183,16 +176,14 @@ class Listen:
     line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Budget:
+class Budget(Struct, frozen=True, kw_only=True):
     """Above `slow` shows are slower; above `rest` the figure rests until it is below `slow`."""
 
     slow: float
     rest: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Duty:
+class Duty(Struct, frozen=True, kw_only=True):
     """When the figure rests."""
 
     work_s: float | None = None
@@ -214,8 +205,7 @@ ATTEMPTS: Final[Mapping[Cause, int]] = MappingProxyType(
 times. A joint that went astray may have been held by a visitor, once."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Retry:
+class Retry(Struct, frozen=True, kw_only=True):
     """How often the stage begins again after a fault that has ended a show."""
 
     attempts: Mapping[Cause, int] = field(default_factory=lambda: dict(ATTEMPTS))
@@ -226,16 +216,14 @@ class Retry:
     """What the other figures do when one has a fault."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alerts:
+class Alerts(Struct, frozen=True, kw_only=True):
     """Where faults are reported."""
 
     webhook: str | None = None
     mqtt: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogRule:
+class LogRule(Struct, frozen=True, kw_only=True):
     """What is kept of each night, and where."""
 
     folder: Path
@@ -243,8 +231,7 @@ class LogRule:
     ring_s: float = 120.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StageFigure:
+class StageFigure(Struct, frozen=True, kw_only=True):
     """One of several figures."""
 
     name: str
@@ -254,8 +241,7 @@ class StageFigure:
     line: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Network:
+class Network(Struct, frozen=True, kw_only=True):
     """How the computers of several figures find and trust each other."""
 
     keys: Path | None = None
@@ -265,15 +251,14 @@ class Network:
     freewheel_s: float = 2.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stage:
+class Stage(Struct, frozen=True, kw_only=True):
     """What a figure, or several, play all evening."""
 
     name: str
     path: Path
     robot_path: Path | None
     """None: the stage has `figures`."""
-    robot: Robot | None = field(repr=False, default=None)
+    robot: Robot | None = None
     shows: Mapping[str, StageShow]
     idle: str | None = None
     cues: tuple[Cue, ...] = ()

@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
+from msgspec import Struct
+
 if TYPE_CHECKING:
     from lss_motion.stage.model import Cue
 
@@ -19,8 +21,7 @@ Outcome = Literal["finished", "left", "fault"]
 """How a show ended: by itself, for another show, or by a fault."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Play:
+class Play(Struct, frozen=True, kw_only=True):
     """Play a show: in place of all that play (`change`), or beside them (`add`)."""
 
     number: int
@@ -35,30 +36,25 @@ class Play:
     """It stands at its beginning until the timecode comes there."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
+class Stop(Struct, frozen=True):
     """Brake within the limits and hold: no show plays."""
 
 
-@dataclass(frozen=True, slots=True)
-class Relax:
+class Relax(Struct, frozen=True):
     """Take the power from the servos in the rest pose, until the next show."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
+class Rate(Struct, frozen=True):
     """Play at this ratio of the speed."""
 
     ratio: float
 
 
-@dataclass(frozen=True, slots=True)
-class Connect:
+class Connect(Struct, frozen=True):
     """Begin a new run: check the servos again, set them up. `Director.connected` answers."""
 
 
-@dataclass(frozen=True, slots=True)
-class Alert:
+class Alert(Struct, frozen=True):
     """Send a message to the owner."""
 
     kind: str
@@ -68,8 +64,7 @@ class Alert:
 # ---- notes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CueFired:
+class CueFired(Struct, frozen=True, kw_only=True):
     """A cue has fired; `what` happens now or, queued, later."""
 
     cue: str
@@ -81,8 +76,7 @@ class CueFired:
         return f"cue {self.cue}: {self.what} ({self.signal})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CueRefused:
+class CueRefused(Struct, frozen=True, kw_only=True):
     """A cue was triggered and has not fired."""
 
     cue: str
@@ -94,8 +88,7 @@ class CueRefused:
         return f"cue {self.cue} refused: {self.reason} ({self.signal})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowRefused:
+class ShowRefused(Struct, frozen=True, kw_only=True):
     """A cue has fired, but the player cannot play its show now."""
 
     cue: str
@@ -107,8 +100,7 @@ class ShowRefused:
         return f"cue {self.cue} refused: {self.reason} (show {self.show})"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowStarted:
+class ShowStarted(Struct, frozen=True, kw_only=True):
     """A show was ordered: for a cue, as the idle show, or as the way to the rest."""
 
     number: int
@@ -120,8 +112,7 @@ class ShowStarted:
         return f"show {self.show} for {self.cause}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowEnded:
+class ShowEnded(Struct, frozen=True, kw_only=True):
     """A show is over."""
 
     number: int
@@ -134,8 +125,7 @@ class ShowEnded:
         return f"show {self.show} {self.outcome} after {self.played_s:.1f} s"
 
 
-@dataclass(frozen=True, slots=True)
-class RestChanged:
+class RestChanged(Struct, frozen=True):
     """The figure rests for other reasons than before; without reasons it works."""
 
     reasons: tuple[str, ...]
@@ -145,8 +135,7 @@ class RestChanged:
         return f"rests: {', '.join(self.reasons)}" if self.reasons else "works"
 
 
-@dataclass(frozen=True, slots=True)
-class Noted:
+class Noted(Struct, frozen=True):
     """Something else that explains what happens later."""
 
     text: str
@@ -162,8 +151,7 @@ LEAST_PRIORITY: Final = -101
 """Below that of any cue: of the idle show."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowInfo:
+class ShowInfo(Struct, frozen=True, kw_only=True):
     """What the director knows of a show."""
 
     joints: frozenset[str]

@@ -11,10 +11,13 @@ takes a fraction of a millisecond, and nothing in it waits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from random import Random
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, LssMotionError
 from lss_motion.perform import Observer
@@ -107,8 +110,7 @@ class Options:
     """Returns the simulated faults of the run that begins at an instant."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StageEnd:
+class StageEnd(Struct, frozen=True, kw_only=True):
     """How a stage has ended."""
 
     runs: int

@@ -11,9 +11,10 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
-from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -60,8 +61,7 @@ class Purpose(Enum):
     STOP = "stop"
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
+class Asked(Struct, frozen=True):
     """What a request says about itself."""
 
     purpose: Purpose
@@ -72,8 +72,7 @@ class Asked:
     bearer: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Door:
+class Door(Struct, frozen=True):
     """What is compared with: the names of this server, the origins of its pages, the secret."""
 
     hosts: frozenset[str]
@@ -86,8 +85,7 @@ class Door:
         return hmac.compare_digest(text.encode(), self.token.encode())
 
 
-@dataclass(frozen=True, slots=True)
-class Denied:
+class Denied(Struct, frozen=True):
     """The answer to a request that may not."""
 
     status: int

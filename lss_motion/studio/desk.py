@@ -7,8 +7,9 @@ the operator move the robot, or finds its servos.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.remote import schema as m
@@ -46,8 +47,7 @@ BUSY: Final[dict[Task, str]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DeskOptions:
+class DeskOptions(Struct, frozen=True, kw_only=True):
     """What the person at the computer decided when the server was started."""
 
     on_lost: OnLost = "go_on"

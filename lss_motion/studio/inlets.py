@@ -10,8 +10,9 @@ import asyncio
 import contextlib
 import importlib.util
 import threading
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.stage.model import Kind

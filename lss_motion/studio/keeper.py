@@ -11,8 +11,9 @@ stop is kept until a person has armed again and started.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.errors import EXIT_INPUT, EXIT_UNREACHABLE
 
@@ -29,16 +30,14 @@ CALM_S: Final = 1.0
 Deed = Literal["start", "renew"]
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
+class Failure(Struct, frozen=True):
     """Why a stage cannot go on: the program ends with this."""
 
     text: str
     exit_code: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Seen:
+class Seen(Struct, frozen=True, kw_only=True):
     """What the keeper needs to know of the server."""
 
     plan: str | None

@@ -14,9 +14,11 @@ import math
 import pickle
 import socket
 import sys
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import read_data
@@ -36,8 +38,7 @@ PROBLEMS_MAX: Final = 100
 """More errors of one file are not sent."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
+class Request(Struct, frozen=True, kw_only=True):
     """What is to be planned."""
 
     number: int
@@ -52,8 +53,7 @@ class Request:
     """Of a stage with several: that of this computer, which conducts."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reply:
+class Reply(Struct, frozen=True, kw_only=True):
     """What became of a request; without a plan where `problems` say why, or it is a robot file."""
 
     number: int

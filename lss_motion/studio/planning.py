@@ -14,9 +14,10 @@ import pickle
 import socket
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.studio.planner import Reply, Request

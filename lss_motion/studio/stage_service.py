@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, field
 
 from lss_motion import __version__
 from lss_motion.errors import LssMotionError
@@ -41,8 +42,7 @@ API_ALLOWED: Final = ("0.0.0.0/0", "::/0")
 """Everyone with the token."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServiceOptions:
+class ServiceOptions(Struct, frozen=True, kw_only=True):
     """What `lss-motion serve` was given, besides the options of the studio."""
 
     starts: bool = True

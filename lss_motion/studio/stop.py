@@ -17,8 +17,9 @@ import json
 import signal
 import socket
 import sys
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.schema import Estop, Stop
@@ -33,8 +34,7 @@ ENDS_MAX: Final = 8
 """Links that may arrive with one read; the server sends them one by one."""
 
 
-@dataclass(frozen=True, slots=True)
-class StopSettings:
+class StopSettings(Struct, frozen=True):
     """What the process needs to know of the server."""
 
     hosts: list[str]

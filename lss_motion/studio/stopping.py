@@ -6,8 +6,9 @@ import asyncio
 import contextlib
 import json
 import socket
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import asdict
 
 from lss_motion.studio.planning import start_module
 

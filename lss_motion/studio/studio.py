@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
 
 from lss_motion import __version__
 from lss_motion.errors import InputError
@@ -39,8 +40,7 @@ if TYPE_CHECKING:
     from lss_motion.studio.planner import Reply
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudioOptions:
+class StudioOptions(Struct, frozen=True, kw_only=True):
     """What `lss-motion studio` was given."""
 
     path: Path
@@ -200,8 +200,7 @@ class Studio:
         return self.stop_addresses[client.place].origin
 
 
-@dataclass(frozen=True, slots=True)
-class Listening:
+class Listening(Struct, frozen=True):
     """One address: the socket of the pages, and that of the stop process."""
 
     address: Address

@@ -11,11 +11,12 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.program.verify import driven, profiles
@@ -70,8 +71,7 @@ PEAKS_HZ: Final = 50.0
 PEAKS_AT_ONCE: Final = 500
 
 
-@dataclass(frozen=True, slots=True)
-class Peaks:
+class Peaks(Struct, frozen=True):
     """The least and largest sample of each step of a sound, as int8 pairs."""
 
     rate_hz: float

@@ -9,10 +9,10 @@ predicted horns, knots are added until the curve is within `Tolerance`.
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,8 +34,7 @@ ROUNDS_MAX: Final = 40
 """Each round halves what is outside of the tolerance; far fewer are needed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tolerance:
+class Tolerance(Struct, frozen=True, kw_only=True):
     """How far a curve may be from the motion; infinite: it does not matter."""
 
     deg: float = POSITION_DEG
@@ -43,8 +42,7 @@ class Tolerance:
     deg_s2: float = np.inf
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
+class Curve(Struct, frozen=True):
     """Knots of a piecewise cubic, in order of time. Two knots at one instant are a jump."""
 
     times_s: FloatArray
@@ -73,8 +71,7 @@ def packed(values: NDArray[Any], kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
+class Samples(Struct, frozen=True):
     """A motion at instants: what a curve is fitted to. `deg_s2` is NaN where it may jump."""
 
     times_s: FloatArray
@@ -120,8 +117,7 @@ def between(knots_s: FloatArray, count: int) -> tuple[FloatArray, NDArray[np.boo
     return np.append(times_s, knots_s[-1]), np.append(is_knot.ravel(), True)
 
 
-@dataclass(frozen=True, slots=True)
-class _Ends:
+class _Ends(Struct, frozen=True):
     """Both ends of the cubic in which each instant lies."""
 
     start_s: FloatArray

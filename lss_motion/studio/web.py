@@ -7,10 +7,10 @@ import errno
 import json
 import socket
 import sys
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import uvicorn
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 
@@ -32,8 +32,7 @@ CLOSE_S: Final = 2
 """An answer that is not finished at the end is given up after this time."""
 
 
-@dataclass(frozen=True, slots=True)
-class Address:
+class Address(Struct, frozen=True):
     """Where a server listens, and what its clients call it."""
 
     host: str

@@ -16,11 +16,11 @@ are a weighted regression over the last seconds, so that the jitter of the way i
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.player.show_clock import Leg
 from lss_motion.units import NS_PER_S, ns_from_s
@@ -76,8 +76,7 @@ class Observation(NamedTuple):
     direction: int = 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Style:
+class Style(Struct, frozen=True, kw_only=True):
     """How a way of transport is read."""
 
     jitter_s: float

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import ipaddress
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, cast, get_args
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.sync import packets
@@ -26,8 +27,7 @@ ALLOWED_MAX: Final = 64
 OFFSET_MAX_S: Final = 86400.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FollowSpec:
+class FollowSpec(Struct, frozen=True, kw_only=True):
     """One source of timecode.
 
     `name`: device or port. `allowed`: the addresses from which packets are taken.
@@ -48,8 +48,7 @@ class FollowSpec:
         return all(ipaddress.ip_network(text, strict=False).is_loopback for text in self.allowed)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SendSpec:
+class SendSpec(Struct, frozen=True, kw_only=True):
     """One receiver of timecode; `name` is a device, a port, or an address."""
 
     kind: SendKind

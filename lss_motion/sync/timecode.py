@@ -8,8 +8,9 @@ every tenth, so that labels and seconds agree to within 0.1 s over a day (SMPTE 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
@@ -19,8 +20,7 @@ DROPPED: Final = 2
 """Labels that drop-frame leaves out in nine of ten minutes."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
+class Rate(Struct, frozen=True):
     """How many frames a second has, and how they are labelled."""
 
     name: str

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.splines import distinct, runs
 from lss_motion.trajectory.braking import braked, mixed
@@ -98,8 +99,7 @@ MARGIN_CELLS: Final = 2
 """Around a slow part so much is solved with it: the grid on which it was found is coarse."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Dues:
+class Dues(Struct, frozen=True, kw_only=True):
     """What the author wants along a path: times, holds, anchors and where lateness starts anew.
 
     `held` has from where to where a hold must be kept, (n, 2), in order and apart. At `seams_s` one
@@ -187,8 +187,7 @@ def _late_from(window: RateWindow, dues: Dues, late_s: float) -> float:
     return float(window.grid_s[int(np.argmax(is_late))]) if is_late.any() else window.to_s
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
+class _Place(Struct, frozen=True):
     """Where the sweep is, how late, and how many windows it has found."""
 
     at_s: float

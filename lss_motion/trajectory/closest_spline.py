@@ -12,10 +12,10 @@ Clarabel solves it. It is imported here only, and only when a problem is to be s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import PlanningError
 
@@ -82,8 +82,7 @@ def basis_slope(shares: FloatArray) -> FloatArray:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
+class Bounds(Struct, frozen=True, kw_only=True):
     """The limits of one joint."""
 
     low_deg: float
@@ -93,8 +92,7 @@ class Bounds:
     jerk_deg_s3: float = math.inf
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tie:
+class Tie(Struct, frozen=True, kw_only=True):
     """An angle, speed or acceleration (`order` 0, 1, 2) that the motion must have at an instant.
 
     With `same_as_s` the motion must have there what it has at that other instant, and `value` is
@@ -108,8 +106,7 @@ class Tie:
     slack_deg: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pull:
+class Pull(Struct, frozen=True, kw_only=True):
     """An angle at an instant, whose squared deviation counts `weight_s` seconds more."""
 
     at_s: float
@@ -117,8 +114,7 @@ class Pull:
     weight_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class Wanted(Struct, frozen=True, kw_only=True):
     """The wanted motion over `cells` cells of `cell_s`, from `from_s` on.
 
     `deg` has its angles at the Gauss points of each cell, (cells, 4), `weights` how much each
@@ -141,8 +137,7 @@ class Wanted:
         return len(self.deg)
 
 
-@dataclass(frozen=True, slots=True)
-class Closest:
+class Closest(Struct, frozen=True):
     """The coefficients of the closest motion, and by how much each of `may_miss` is missed."""
 
     coefficients: FloatArray

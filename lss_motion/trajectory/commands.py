@@ -19,10 +19,10 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.robot.profile import (
     DURATION_MIN_MS,
@@ -53,8 +53,7 @@ LATER_S: Final = 0.01
 """Step in which a later instant is tried. Chosen: two control ticks of the servo."""
 
 
-@dataclass(frozen=True, slots=True)
-class CarriedOut:
+class CarriedOut(Struct, frozen=True):
     """What a servo makes of commands: its motion from the first of them to each rest, as cubics.
 
     Command n leads from key `moves[n]` to the next one; it is received at `received_s[n]` with the

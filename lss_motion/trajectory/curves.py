@@ -6,10 +6,11 @@ Everything here is over the path position; time, speed limits and rates come lat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, distinct, monotone_slopes, runs
@@ -39,8 +40,7 @@ _FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
 """Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""
 
 
-@dataclass(frozen=True, slots=True)
-class JointKeys:
+class JointKeys(Struct, frozen=True):
     """The keys of one joint along the path: where each is reached and left, its angle and its ease.
 
     `eases[k]` shapes the move that ends at key k.

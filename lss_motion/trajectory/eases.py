@@ -8,10 +8,11 @@ where it asks less, and returns what that would gain.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.sequence.keyframes import at_speed
@@ -53,8 +54,7 @@ class Lateness(NamedTuple):
     most_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EaseAdvice:
+class EaseAdvice(Struct, frozen=True, kw_only=True):
     """What another ease at some keyframes would do for the sum of the lateness of all."""
 
     name: str

@@ -8,10 +8,11 @@ of solving the whole.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.splines import near_runs
@@ -91,8 +92,7 @@ NAMED_MAX: Final = 3
 """Keys that an error names; the others are counted."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class Grid(Struct, frozen=True, kw_only=True):
     """The cells that all joints share, over all passes that differ."""
 
     cell_s: float
@@ -127,8 +127,7 @@ class Grid:
         return max(1, round(span_s / self.cell_s))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeyAsked:
+class KeyAsked(Struct, frozen=True, kw_only=True):
     """One key of a joint that keeps its time, in the time of all passes."""
 
     at_s: float
@@ -145,8 +144,7 @@ class KeyAsked:
     """The joint turns or stays here."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class Asked(Struct, frozen=True, kw_only=True):
     """The motion of one joint as the author asks for it: a column of a path."""
 
     path: Path
@@ -165,8 +163,7 @@ class Asked:
         return float(c1 + local_s * (2.0 * c2 + 3.0 * local_s * c3))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Window:
+class Window(Struct, frozen=True, kw_only=True):
     """The cells from `first` to `end` and the motion in them."""
 
     first: int

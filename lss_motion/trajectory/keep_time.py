@@ -8,11 +8,11 @@ the joint is the closest one within the limits (`keep_joint`); joints do not dep
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Timing

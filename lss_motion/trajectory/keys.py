@@ -8,11 +8,12 @@ apart as their moves need at least.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Interpolation, Timing
@@ -51,8 +52,7 @@ PATH_DECIMALS: Final = 9
 """Path positions are rounded to 1 ns, so that equal instants of different joints compare equal."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
+class Key(Struct, frozen=True, kw_only=True):
     """One joint's angle at one keyframe (`index`), kept for `hold_s`."""
 
     index: int
@@ -203,8 +203,7 @@ def _clash(held: Key, key: Key, joint: str, sequence: Sequence) -> InputError | 
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spacing:
+class Spacing(Struct, frozen=True, kw_only=True):
     """Path positions at which each keyframe is reached, and at which its hold ends.
 
     `path_s` and `authored_s` map positions to authored times, piecewise linearly. Without
@@ -234,8 +233,7 @@ def least_move_s(move_deg: FloatArray, speed_deg_s: float, accel_deg_s2: float) 
     return np.where(is_triangle, triangle_s, trapezoid_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Margins:
+class Margins(Struct, frozen=True):
     """What a motion that is smoothed afterwards needs: longer rests, and keys that are shifted.
 
     Smoothing spreads a motion by `half_s` of its joint into the rests around it, so the rest is

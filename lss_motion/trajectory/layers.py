@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.sequence.parts import time_keepers
@@ -487,8 +488,7 @@ def _check_anchors(trajectory: Trajectory, show: Sequence) -> None:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedLayer:
+class PlacedLayer(Struct, frozen=True):
     """One layer with its plan, in the show from `from_s` to `to_s`."""
 
     layer: Layer
@@ -522,8 +522,7 @@ def _step(since_s: FloatArray, fade_s: float, *, is_smooth: bool) -> tuple[Float
     return share * share * (3.0 - 2.0 * share), 6.0 * share * left / fade_s
 
 
-@dataclass(frozen=True, slots=True)
-class LayeredSum:
+class LayeredSum(Struct, frozen=True):
     """The show and its layers added up, as if there were no limits."""
 
     joints: tuple[str, ...]

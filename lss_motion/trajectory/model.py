@@ -7,10 +7,11 @@ or made of several trajectories (`tracks.ParallelPass`, `playlist.PlayListPass`)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text
@@ -37,8 +38,7 @@ SEAM_DEG_S: Final = 0.5
 """The same for its speed. Chosen: half of 1 deg/s, above which a seam can be seen."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlowSpan:
+class SlowSpan(Struct, frozen=True, kw_only=True):
     """A span that is slower than authored, because of a limit. Times are planned times."""
 
     from_s: float
@@ -67,8 +67,7 @@ class SlowSpan:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissedKey:
+class MissedKey(Struct, frozen=True, kw_only=True):
     """A key at which a joint that keeps its time should turn or stay, and its angle there."""
 
     at_s: float
@@ -77,8 +76,7 @@ class MissedKey:
     given_deg: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GivenUp:
+class GivenUp(Struct, frozen=True, kw_only=True):
     """A span in which a joint that keeps its time gives up angle. Times are planned times."""
 
     from_s: float
@@ -110,8 +108,7 @@ class GivenUp:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AskedSpan:
+class AskedSpan(Struct, frozen=True, kw_only=True):
     """The angles that the author asks for where a plan gives up angle, at equal steps."""
 
     from_s: float
@@ -124,8 +121,7 @@ class AskedSpan:
         return replace(self, from_s=self.from_s + by_s, to_s=self.to_s + by_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CommandedMove:
+class CommandedMove(Struct, frozen=True, kw_only=True):
     """A move that the plan leaves to the servo: one command with this target and T."""
 
     at_s: float
@@ -138,8 +134,7 @@ class CommandedMove:
         return replace(self, at_s=self.at_s + by_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mark:
+class Mark(Struct, frozen=True, kw_only=True):
     """A keyframe in the plan: its authored time (None: not given) and when it is reached.
 
     `hold_s` is how long the author holds it, `held_s` how long it is held in the plan. `rest_s` and
@@ -170,8 +165,7 @@ class Mark:
         return replace(self, planned_s=self.planned_s + by_s, authored_s=authored_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Smoothing:
+class Smoothing(Struct, frozen=True, kw_only=True):
     """How the acceleration of a joint is kept from jumping, and what that costs."""
 
     joint: str
@@ -216,8 +210,7 @@ class Pass(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WaitPoint:
+class WaitPoint(Struct, frozen=True, kw_only=True):
     """An instant at which every joint rests and the show waits before it goes on.
 
     With idle motion (`back_s` above 0) the show does not stand: it waits from `back_s` before that
@@ -229,8 +222,7 @@ class WaitPoint:
     back_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trajectory:
+class Trajectory(Struct, frozen=True, kw_only=True):
     """All passes of a sequence, from rest to rest, within the limits of the robot.
 
     `first` is the pass that starts from rest, `last` the one that ends at rest and `middle` every
@@ -334,8 +326,7 @@ class Trajectory:
         return passes if self.loop is None else np.minimum(passes, self.loop - 1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathMotion:
+class PathMotion(Struct, frozen=True, kw_only=True):
     """One pass of a single track: a path and the clock that follows it."""
 
     path: Path
@@ -392,8 +383,7 @@ def motions_of(trajectory: Trajectory) -> tuple[PathMotion, PathMotion, PathMoti
     return first, middle, last
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathClock:
+class PathClock(Struct, frozen=True, kw_only=True):
     """Path position over time, piecewise parabolas. Piece i starts at `times_s[i]`, `path_s[i]`.
 
     `rates[i]` is the rate at its start (1: one path second a second), `rate_slopes[i]` the
@@ -455,8 +445,7 @@ def steady_clock(length_s: float) -> PathClock:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopedSpan:
+class LoopedSpan(Struct, frozen=True, kw_only=True):
     """A pass that is a part of the only pass of `whole`; joints may move at its ends."""
 
     whole: Trajectory

@@ -5,10 +5,11 @@ The path position has the unit of seconds (`_s`): for authored shows it is the a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Path:
+class Path(Struct, frozen=True, kw_only=True):
     """Cubics of all joints over common knots.
 
     `coefficients[k, p, j]` belongs to the power p of (path_s - knots_s[k]) of joint j in segment
@@ -32,7 +32,7 @@ class Path:
     def __post_init__(self) -> None:
         # Stored power by power, because `_chosen` reads one power of many cubics.
         by_power = np.ascontiguousarray(np.moveaxis(self.coefficients, 1, 0))
-        object.__setattr__(self, "coefficients", np.moveaxis(by_power, 0, 1))
+        force_setattr(self, "coefficients", np.moveaxis(by_power, 0, 1))
 
     @property
     def length_s(self) -> float:

@@ -15,10 +15,10 @@ import json
 import math
 import tokenize
 import zipfile
-from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
+from msgspec import to_builtins
 
 from lss_motion.errors import InputError
 from lss_motion.files.cache import BYTES_MAX, PLAN_SUFFIX, cache_directory, store
@@ -221,7 +221,9 @@ def _made(kind: type[Value], stored: Mapping[str, Any]) -> Value:
 def _fields(kind: type[Any]) -> list[tuple[str, tuple[type, ...]]]:
     """Return the fields of a kind of value, and what an entry may hold for each."""
     if kind not in _known_fields:
-        _known_fields[kind] = [(field.name, _TYPES[str(field.type)]) for field in fields(kind)]
+        _known_fields[kind] = [
+            (field, _TYPES[kind.__annotations__[field]]) for field in kind.__struct_fields__
+        ]
     return _known_fields[kind]
 
 
@@ -238,11 +240,11 @@ def _store(path: Path, name: str, trajectory: Trajectory) -> None:
         "joints": trajectory.joints,
         "loop": trajectory.loop,
         "is_periodic": trajectory.is_periodic,
-        "stretched": [asdict(stretch) for stretch in trajectory.stretched],
-        "given_up": [asdict(span) for span in trajectory.given_up],
-        "commands": [asdict(move) for move in trajectory.commands],
-        "marks": [asdict(mark) for mark in trajectory.marks],
-        "smoothing": [asdict(part) for part in trajectory.smoothing],
+        "stretched": to_builtins(trajectory.stretched),
+        "given_up": to_builtins(trajectory.given_up),
+        "commands": to_builtins(trajectory.commands),
+        "marks": to_builtins(trajectory.marks),
+        "smoothing": to_builtins(trajectory.smoothing),
     }
     ends = np.cumsum([0, *(len(span.deg) for span in trajectory.asked)]).tolist()
     facts["asked"] = [

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.keyframes import at_speed

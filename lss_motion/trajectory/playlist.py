@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.check import loop_problem
@@ -39,8 +41,7 @@ PEAK_RATIO: Final = 1.5
 """Peak speed of a smooth move from rest to rest, divided by its mean speed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlayListPass:
+class PlayListPass(Struct, frozen=True, kw_only=True):
     """A pass in which trajectories follow one another, each from rest to rest.
 
     `parts[k]` starts at `starts_s[k]`, where the joints are at `poses_deg[k]`; a joint that it

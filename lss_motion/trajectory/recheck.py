@@ -8,10 +8,10 @@ decides where this check finds no proof, such as where rounding makes a jump, an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import PlanningError
 from lss_motion.trajectory.model import motions_of
@@ -72,8 +72,7 @@ BLOCK_PIECES: Final = 1024
 check takes two to three times as long, because no array stays in the processor's cache."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Ends:
+class _Ends(Struct, frozen=True):
     """Angles and speeds of all joints at both ends of a motion."""
 
     start: tuple[FloatArray, FloatArray]
@@ -203,8 +202,7 @@ def _block_within(motion: PathMotion, times_s: FloatArray, limits: _Limits) -> _
     return _Ends((c0[0], start_deg_s[0]), (end_deg[-1], end_deg_s[-1]))
 
 
-@dataclass(frozen=True, slots=True)
-class _Cubics:
+class _Cubics(Struct, frozen=True):
     """The angles of all joints in all pieces: cubics of the path position `u`, 0 to the width.
 
     Each check gets bounds of what it looks at. Only where those are beyond the limits the extremes

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.splines import distinct, runs
@@ -66,8 +67,7 @@ FIT_STEPS: Final = 24
 """Bisections to find the least feasible duration: a ratio of 1e-7."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class Layout(Struct, frozen=True, kw_only=True):
     """A checked sequence and the paths of its passes: one, or the two or three that differ."""
 
     sequence: Show

@@ -14,10 +14,12 @@ each, until the smoothed motion is where the author wants it (`keys.Margins`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Timing
@@ -378,8 +380,7 @@ def _check_fit(sequence: Show, trajectory: Trajectory) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _PassedKey:
+class _PassedKey(Struct, frozen=True):
     """A key that is passed in motion.
 
     `turn` is 1 where the joint turns at the upper end of its range, -1 at the lower end, else 0.
@@ -453,8 +454,7 @@ def smoothed(base: Trajectory, windows_s: FloatArray, step_s: float) -> Trajecto
     return result
 
 
-@dataclass(frozen=True, slots=True)
-class _Extended:
+class _Extended(Struct, frozen=True):
     """A pass with what comes before and after it: another pass in motion, or rest."""
 
     before: PathMotion | None

@@ -13,10 +13,10 @@ with an end rate that may be free, and with second derivatives that differ on bo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct, field
 
 from lss_motion.errors import PlanningError
 from lss_motion.splines import distinct, runs
@@ -122,8 +122,7 @@ PREFER_SMALL_SLOPE: Final = 1e-9
 """Weight of the slope in the objective, as in toppra: of equal squares, the smaller slope."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateTask:
+class RateTask(Struct, frozen=True, kw_only=True):
     """A path, the limits of its joints, and the largest rate at which it may be followed.
 
     `knot_caps` bounds the squared rate at single knots, by index. The rate is at most 1 outside of
@@ -153,8 +152,7 @@ class RateTask:
         return np.asarray(self.accel_max_deg_s2 * self.accel_shares[segments])
 
 
-@dataclass(frozen=True, slots=True)
-class RateWindow:
+class RateWindow(Struct, frozen=True):
     """Squared rates over a grid of path positions; between grid points they are linear."""
 
     grid_s: FloatArray
@@ -179,8 +177,7 @@ class RateWindow:
         return float(self.spent_s.sum())
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
+class _Grid(Struct, frozen=True):
     """Consecutive cells: the segment of each, and the share of the limits that it may use."""
 
     points_s: FloatArray
@@ -480,8 +477,7 @@ def _resolve(
         left, right = left * (1 if is_left_met else 2), right * (1 if is_right_met else 2)
 
 
-@dataclass(frozen=True, slots=True)
-class Cells:
+class Cells(Struct, frozen=True):
     """Derivatives of the path at both ends of consecutive cells, (n, joints).
 
     All are divided by the acceleration limits, so that the limit of every row is 1.

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Timing
@@ -232,8 +233,7 @@ def _fitted(sequence: Show, robot: Robot) -> Trajectory:
     return verified(trajectory, sequence, robot)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParallelPass:
+class ParallelPass(Struct, frozen=True, kw_only=True):
     """A pass in which tracks move in parallel: show times from `from_s` on."""
 
     joints: tuple[str, ...]

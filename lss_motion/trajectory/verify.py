@@ -7,10 +7,12 @@ sides of every knot, and derives speed, acceleration and, where it is limited, j
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 
@@ -56,8 +58,7 @@ ROUNDING: Final = 16.0 * np.finfo(np.float64).eps
 """Relative error of a sampled time or angle: rounding of a few operations."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verification:
+class Verification(Struct, frozen=True, kw_only=True):
     """How close a trajectory comes to the limits: the largest share used, and where."""
 
     samples: int

@@ -24,9 +24,10 @@ import math
 import os
 import re
 import socket
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import unquote, urlsplit
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.remote import schema as m
@@ -57,15 +58,18 @@ DEEDS: Final = {
 INSTALL: Final = 'MQTT needs a package: pip install "lss-motion[stage]"'
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Broker:
+class Broker(Struct, frozen=True, kw_only=True):
     """Where the broker is, and how it is entered."""
 
     host: str
     port: int
     is_tls: bool = False
     user: str | None = None
-    password: str | None = field(default=None, repr=False)
+    password: str | None = None
+
+    def __repr__(self) -> str:
+        """Return where it is; a password is not shown."""
+        return f"Broker({self.host}:{self.port})"
 
     @property
     def has_password(self) -> bool:

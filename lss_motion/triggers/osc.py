@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import math
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.remote import schema as m
@@ -59,8 +60,7 @@ class OscError(ValueError):
     """A packet that is no OSC, or asks for what is not possible."""
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(Struct, frozen=True):
     """An address with its arguments. `at_s`: when it is to be carried out, Unix time; None: now."""
 
     address: str

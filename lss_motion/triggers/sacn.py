@@ -8,8 +8,10 @@ UTF-8, and receives in a thread of its own.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.triggers.sources import Crossings
 
@@ -44,8 +46,7 @@ class SacnError(ValueError):
     """A packet that is no sACN data."""
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(Struct, frozen=True):
     """The levels of one universe from one source."""
 
     source: bytes
@@ -54,7 +55,7 @@ class Packet:
     priority: int
     sequence: int
     is_terminated: bool
-    levels: bytes = field(repr=False)
+    levels: bytes
 
 
 def packet_of(data: bytes) -> Packet | None:

@@ -6,10 +6,11 @@ same requests give the same plans.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError
 from lss_motion.gait.curves import spline
@@ -35,8 +36,7 @@ POSE_S: Final = 1.0
 """How long the body takes to reach a pose. Chosen: a calm move. A limit can make it longer."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanRequest:
+class PlanRequest(Struct, frozen=True, kw_only=True):
     """A request for the next part of a walk.
 
     `was_taken`: the last reply is being played. `begins_s`: begin from a stand, at that show
@@ -51,8 +51,7 @@ class PlanRequest:
     pose: BodyPose | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanReply:
+class PlanReply(Struct, frozen=True, kw_only=True):
     """The next part of a walk, in show time. Without `extension` there is none, for `reason`.
 
     The part begins at `from_s`. The part after it begins at `next_s`. Where that is None, the
@@ -67,8 +66,7 @@ class PlanReply:
     reason: str = ""
 
 
-@dataclass(slots=True)
-class _Progress:
+class _Progress(Struct, frozen=True):
     """The state of the walk at the end of what is played, or of what was offered."""
 
     splice_state: SpliceState

@@ -10,11 +10,11 @@ import contextlib
 import multiprocessing
 import signal
 import time
-from dataclasses import replace
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from lss_motion.closing import Closing
 from lss_motion.errors import PlanningError

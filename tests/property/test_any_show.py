@@ -7,11 +7,11 @@ thousand others.
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 
 import numpy as np
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel

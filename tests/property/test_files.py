@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.validation import NAME_PATTERN

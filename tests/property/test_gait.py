@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.gait.kinematics import forward, inverse, neutral_mm, reach_excess_mm

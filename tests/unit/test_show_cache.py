@@ -6,10 +6,10 @@ import json
 import os
 import pickle
 import random
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion import show_cache, shows
 from lss_motion.cli import main as program

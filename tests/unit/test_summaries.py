@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.model import Bus, Robot

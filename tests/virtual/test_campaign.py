@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from campaign import judge, witness
 from campaign.shows import NAMES, show
 from campaign.stale import lawless_ns
+from msgspec.structs import replace
 
 from lss_motion.player import checks, handshake, joint_state, streamer
 from lss_motion.sim.faults import Fault, FaultKind

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from motion_table import map_for, robot_for
+from msgspec.structs import replace
 
 from lss_motion import api
 from lss_motion.interchange import imported, load_map, read_motion

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import lss_motion as lss
 from lss_motion.remote import schema as m
@@ -177,7 +177,7 @@ def test_a_pose_is_planned_and_limp_joints_stay_limp(robot):
     ],
 )
 def test_the_end_of_the_robot_file_comes_where_nothing_was_stopped(robot, end, order, last):
-    robot = dataclasses.replace(robot, end=end)
+    robot = replace(robot, end=end)
     _, bus, _, _ = run(robot, *jogs("a", 1.0, 0.1, 0.5), (0.5, order))
     assert bus.lines[-1][1] == last
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.cli.report import plot_report
 from lss_motion.sequence.model import Cue

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player.events import MarkPassed, PhaseEntered, Warned

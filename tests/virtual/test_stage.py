@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import socket
-from dataclasses import replace
 from functools import cache
 from random import Random
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from campaign.outside import objections_to
 from campaign.witness import Witness
+from msgspec.structs import replace
 
 from lss_motion import api
 from lss_motion.errors import InputError

@@ -6,10 +6,10 @@ import contextlib
 import json
 import pickle
 import socket
-from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.remote import schema as m
 from lss_motion.remote import stage_messages as s

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.player.events import PhaseEntered
 from lss_motion.robot.on_fault import Cause, FaultStep

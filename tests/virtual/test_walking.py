@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from local_planner import LocalPlanner
+from msgspec.structs import replace
 
 from lss_motion import shows
 from lss_motion.gait.kinematics import forward

@@ -6,9 +6,10 @@ import contextlib
 import multiprocessing
 import os
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from lss_motion.runtime.real_time import PRIORITY
 from lss_motion.sim.bus import bus_from_robot

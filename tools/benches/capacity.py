@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from benches.plan import empty_cache
 from benches.shows import ACCEL_MAX_DEG_S2, lively_show, robot_of

@@ -5,12 +5,12 @@ Six joints, three lively shows, virtual time; the same bytes of the same program
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from unittest.mock import patch
 
 import numpy as np
+from msgspec.structs import replace
 
 from benches.shows import lively_show, robot_of
 from benches.table import Row

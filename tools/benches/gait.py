@@ -7,11 +7,12 @@ standing feet slip, and how high stepping feet go.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from benches.table import Row
 from lss_motion import api

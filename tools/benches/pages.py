@@ -18,12 +18,12 @@ import os
 import statistics
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from cdp import Browser, found_browser
+from msgspec.structs import replace
 from running_studio import Studio
 
 from benches.behind_pty import robot_behind_pty

@@ -14,9 +14,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[2])]
 
@@ -105,8 +108,7 @@ class Case:
     program: Program
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class Outcome(Struct, frozen=True, kw_only=True):
     """What the horns of one run did; the worst of all joints, but for `rms_deg`."""
 
     rms_deg: float
@@ -123,9 +125,9 @@ class Outcome:
     outcome: str
     origin_ns: int
     """Instant of show time 0."""
-    findings: frozenset[str] = field(default_factory=frozenset)
+    findings: frozenset[str] = frozenset()
     """Joints whose model was named as wrong."""
-    observable: frozenset[str] = field(default_factory=frozenset)
+    observable: frozenset[str] = frozenset()
     """Joints that must be: their model is wrong, and so are their horns, also where no command is
     lost."""
     is_model_right: bool = False

@@ -1,8 +1,8 @@
 """How much processor time commands take to start: to their end, and to the first byte of motion.
 
 Each command is a process of its own, with bytecode, as on a user's machine. What counts is its user
-and system time, from its start to its end, or (`first byte`) to the first move that a simulated
-servo receives. The reference is `python -c "import numpy"` in each round: on a busy machine all of
+and system time, from its start to its end, or (`first byte`) to the first move that is written to a
+simulated bus. The reference is `python -c "import numpy"` in each round: on a busy machine all of
 them take two to four times as long, and only the ratio can be compared.
 
 Where it goes for wave.yaml from the cache, in one run on a busy machine, where `import numpy` took
@@ -38,7 +38,7 @@ from lss_motion.cli.start import {program} as run
 sys.exit(run())
 """
 FIRST_BYTE = """
-import os, sys, time
+import os, re, sys, time
 
 class Watch:
     "Lets the simulated bus end the process at its first move."
@@ -50,13 +50,13 @@ class Watch:
         load = spec.loader.exec_module
         def watched(module):
             load(module)
-            receive = module.SimBus._receive
-            def look(bus, now_ns, sent):
-                if b"D" in sent and b"T" in sent:
+            write = module.SimBus.write
+            def look(bus, data, now_ns):
+                if re.search(rb"[0-9]D-?[0-9]+T", data):
                     os.write(1, b"%d" % time.process_time_ns())
                     os._exit(0)
-                receive(bus, now_ns, sent)
-            module.SimBus._receive = look
+                write(bus, data, now_ns)
+            module.SimBus.write = look
         spec.loader.exec_module = watched
         return spec
 

@@ -21,11 +21,11 @@ import sys
 import tempfile
 import time
 import urllib.request
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from benches import sound_recorder
 from benches.behind_pty import busy_cores, robot_behind_pty

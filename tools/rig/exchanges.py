@@ -34,7 +34,7 @@ with Peer(NetworkSettings(stage="rig", figure="f0", conductor="f0", figures=["f0
 """
 ASKER = """
 import json, sys
-from dataclasses import astuple
+from msgspec.structs import astuple
 from benches.network import exchanged_with
 from lss_motion.network.peer import Peer
 from lss_motion.network.settings import NetworkSettings

@@ -7,10 +7,10 @@ rests alone: how far the load pulls the horn at each angle, and the play of the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import PlaybackError
 from lss_motion.maintenance.identify.response_fit import (
@@ -70,8 +70,7 @@ class Decided(NamedTuple):
     is_sure: bool
 
 
-@dataclass(frozen=True, kw_only=True)
-class Identified:
+class Identified(Struct, frozen=True, kw_only=True):
     """How one servo responds. Angles in joint degrees.
 
     `delay_s`      from the last byte of a command to the horn, on average: what playing leads by

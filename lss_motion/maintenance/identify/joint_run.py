@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from lss_motion.errors import BusError, LssMotionError, PlaybackError
 from lss_motion.maintenance.identify.trials import (
@@ -330,8 +331,7 @@ class JointRun(ABC):
         return Dialogue(items, {bus: self._line}, {bus: self._poller.tracker})
 
 
-@dataclass(frozen=True, slots=True)
-class PolledReading:
+class PolledReading(Struct, frozen=True):
     """The content of an answer: an angle, the value of `also`, a fault of the servo, or nothing."""
 
     asked_ns: int

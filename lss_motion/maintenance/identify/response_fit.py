@@ -12,10 +12,10 @@ up at its next control loop.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -87,8 +87,7 @@ class Measured(NamedTuple):
     error: float
 
 
-@dataclass(frozen=True, slots=True)
-class Rests:
+class Rests(Struct, frozen=True):
     """Servo degrees. `droop_deg` are coefficients over (angle - middle) / half room.
 
     Play shows in one of two ways. Without a load, it depends on the direction from which a rest was
@@ -101,8 +100,7 @@ class Rests:
     is_falling: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
+class Shape(Struct, frozen=True):
     """Parameters of a motion: two ramps, the speed limit SD, the time constant of the lag."""
 
     accel_deg_s2: float
@@ -265,8 +263,7 @@ def _lagged(
     return profile - behind_deg, behind_deg
 
 
-@dataclass(frozen=True, slots=True)
-class FitTrial:
+class FitTrial(Struct, frozen=True):
     """One trial for the fit: its readings as arrays, thinned."""
 
     start_deg: float
@@ -309,8 +306,7 @@ def with_play(horn: Array, arrived: float, play_deg: float) -> Array:
     return shaft
 
 
-@dataclass(frozen=True)
-class ModelFit:
+class ModelFit(Struct, frozen=True):
     """The best parameters under one hypothesis. `delays_s`: a tuple a trial, a delay a move.
 
     A delay runs from the last byte of a command to the effect at the horn, `lag_s` included.

@@ -8,10 +8,11 @@ is for the fit: `Pieces.start_error` says how well each begin is known.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import PlaybackError
 from lss_motion.robot.profile import Profile
@@ -77,8 +78,7 @@ class _Piece(NamedTuple):
     until_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Pieces:
+class Pieces(Struct, frozen=True):
     """Pieces as arrays, (pieces, moves); times count from the begin of each piece."""
 
     begin_s: FloatArray

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.maintenance.identify.response_fit import (
     HYPOTHESES,
@@ -80,8 +80,7 @@ def ramp_ratio(found: Identified, stiffness_ratio: float = 1.0) -> float:
     return round(ramp.value / set_deg_s2, 3)
 
 
-@dataclass(frozen=True, slots=True)
-class Series:
+class Series(Struct, frozen=True):
     """Points of one line of a plot."""
 
     name: str
@@ -89,8 +88,7 @@ class Series:
     y: Sequence[float]
 
 
-@dataclass(frozen=True, slots=True)
-class Plot:
+class Plot(Struct, frozen=True):
     """What a page draws of a result."""
 
     title: str

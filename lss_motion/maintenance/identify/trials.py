@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.robot.profile import ramp_deg_s2
@@ -68,8 +69,7 @@ class Kind(StrEnum):
     FAST = "fast"
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedMove:
+class PlannedMove(Struct, frozen=True):
     """A `D…T…` that is sent `at_s` after its trial began. Servo degrees."""
 
     at_s: float
@@ -77,8 +77,7 @@ class PlannedMove:
     duration_ms: int
 
 
-@dataclass(frozen=True, slots=True)
-class TrialPlan:
+class TrialPlan(Struct, frozen=True):
     """From rest to rest: one move, or two of which the second interrupts the first."""
 
     kind: Kind
@@ -87,8 +86,7 @@ class TrialPlan:
     """The latest end of the servo's profile under every meaning of T, without lag."""
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
+class Window(Struct, frozen=True):
     """The range of the horn during an identification, in servo degrees."""
 
     low_deg: float

@@ -91,15 +91,15 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
 def _loaded_by_play(tmp_path: Path) -> set[str]:
     """Return the modules that are loaded when the first byte of motion leaves."""
     code = (
-        "import sys\n"
+        "import re, sys\n"
         "from lss_motion.cli.start import play\n"
         "from lss_motion.sim.bus import SimBus\n"
-        "receive = SimBus._receive\n"
-        "def look(self, now_ns, sent):\n"
-        "    if b'D' in sent and not look.loaded:\n"
+        "write = SimBus.write\n"
+        "def look(self, data, now_ns):\n"
+        "    if re.search(rb'\\d+D-?\\d+T', data) and not look.loaded:\n"
         "        look.loaded = sorted(sys.modules)\n"
-        "    receive(self, now_ns, sent)\n"
-        "look.loaded, SimBus._receive = [], look\n"
+        "    write(self, data, now_ns)\n"
+        "look.loaded, SimBus.write = [], look\n"
         "play()\n"
         "print('loaded:', *look.loaded)"
     )

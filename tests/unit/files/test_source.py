@@ -8,6 +8,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import LISTED_MAX, known_names, text_of
+from lss_motion.sequence.model import Cue, Keyframe
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,3 +35,12 @@ def test_the_byte_that_is_not_utf8_is_named_also_after_a_byte_order_mark(tmp_pat
     with pytest.raises(InputError) as caught:
         text_of(b"\xef\xbb\xbfa\n\xff", tmp_path)
     assert caught.value.line == 2
+
+
+def test_a_value_is_compared_without_the_place_where_it_was_written():
+    cue = Cue(at_s=1.0, say="hello", line=3)
+    moved = Cue(at_s=1.0, say="hello", line=7)
+    assert cue == moved
+    assert hash(cue) == hash(moved)
+    assert cue != Cue(at_s=1.0, say="good bye", line=3)
+    assert cue != Keyframe(deg={}, at_s=1.0, line=3)

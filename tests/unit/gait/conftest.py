@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.gait.load import load_gait
 from lss_motion.gait.model import BodyPose, Walk

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.cli.main import main
 from lss_motion.gait.model import BodyMove, BodyPose

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.gait.kinematics import Stance, forward, inverse, neutral_mm, reach_excess_mm

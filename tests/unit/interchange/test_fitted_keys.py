@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
 from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.maintenance.calibration import Frame, frame_of, moved_origin
 from lss_motion.robot.load import load_robot

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
 from lss_motion.maintenance import findings
@@ -278,7 +277,7 @@ def test_the_starter_is_a_robot_file_that_loads(connected, spec, tmp_path):
         spec(8, baud_bps=9600),
         spec(209, "LSS-2IO"),
     )
-    bus = dataclasses.replace(connection.buses["main"], port="/dev/ttyUSB7")
+    bus = replace(connection.buses["main"], port="/dev/ttyUSB7")
     looks = survey(connection, connection.buses["main"], None)
     text = starter_file("bag", bus, looks)
     path = tmp_path / "bag.yaml"

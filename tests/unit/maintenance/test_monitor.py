@@ -118,7 +118,7 @@ def test_a_servo_that_comes_back_is_seen_again(watched, spec):
 
 
 def test_two_buses_do_not_wait_for_each_other(spec, connected):
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from lss_motion.connection import Connection
     from lss_motion.sim.port import SimPort

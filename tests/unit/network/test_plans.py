@@ -1,6 +1,5 @@
 """One show for two figures: planned together, split, stored, and verified where it is played."""
 
-import dataclasses
 import os
 import pickle
 import signal
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from msgspec.structs import replace
 
 import lss_motion as lss
 from lss_motion.errors import InputError
@@ -35,7 +35,7 @@ events:
 @pytest.fixture
 def robots():
     robot = lss.load_robot(SEQUENCES / "robots" / "desk_arm.yaml")
-    return {"left": robot, "right": dataclasses.replace(robot, name="other_arm")}
+    return {"left": robot, "right": replace(robot, name="other_arm")}
 
 
 @pytest.fixture
@@ -77,8 +77,8 @@ def test_a_plan_that_breaks_a_limit_here_is_refused(robots, duet):
     made = plans.planned_cast("duet", duet, robots, "left")
     cast, contents = made.cast, made.contents
     robot = robots["left"]
-    narrow = dataclasses.replace(robot.joints["base"], position_max_deg=45.0)
-    other = dataclasses.replace(robot, joints={**robot.joints, "base": narrow})
+    narrow = replace(robot.joints["base"], position_max_deg=45.0)
+    other = replace(robot, joints={**robot.joints, "base": narrow})
     content = contents[cast.parts["left"].plan]
     assert plans.plan_problem(content, robot) == ""
     assert "joint 'base' would go to" in plans.plan_problem(content, other)
@@ -95,15 +95,15 @@ def test_a_plan_that_breaks_a_limit_here_is_refused(robots, duet):
 )
 def test_robots_are_the_same_but_for_their_ports(robots, change, is_same):
     robot = robots["left"]
-    buses = {name: dataclasses.replace(bus, **change) for name, bus in robot.buses.items()}
-    other = dataclasses.replace(robot, buses=buses, path=None)
+    buses = {name: replace(bus, **change) for name, bus in robot.buses.items()}
+    other = replace(robot, buses=buses, path=None)
     assert (plans.robot_hash(other) == plans.robot_hash(robot)) is is_same
 
 
 def test_a_joint_that_differs_is_another_robot(robots):
     robot = robots["left"]
-    base = dataclasses.replace(robot.joints["base"], zero_deg=0.5)
-    other = dataclasses.replace(robot, joints={**robot.joints, "base": base})
+    base = replace(robot.joints["base"], zero_deg=0.5)
+    other = replace(robot, joints={**robot.joints, "base": base})
     assert plans.robot_hash(other) != plans.robot_hash(robot)
 
 
@@ -132,7 +132,7 @@ def test_the_store_forgets_the_oldest(tmp_path, monkeypatch):
 
 
 def test_a_wait_for_a_sensor_is_refused(robots, tmp_path, monkeypatch):
-    program = dataclasses.replace(
+    program = replace(
         lss.compile(
             lss.plan(lss.load_sequence(SEQUENCES / "wave.yaml"), robots["left"]), robots["left"]
         ),

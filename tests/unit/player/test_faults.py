@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.player.faults import RESUMES_MAX, SLOW_RATE_LEAST, FaultEscalation
 from lss_motion.robot.on_fault import Cause, FaultStep

@@ -9,7 +9,6 @@ What is kept for a picture covers a show of any length evenly, in bounded room.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 from random import Random
 
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lss_motion.player.estimators import DEAD_S, POINTS_MAX, Trace
 from lss_motion.player.joint_state import (

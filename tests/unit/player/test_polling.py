@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from itertools import groupby, pairwise
 from types import MappingProxyType
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.player.cues import POLL_PERIOD_NS, Waiting
 from lss_motion.player.health import SILENT_QUERIES

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
 from itertools import count, pairwise
 from random import Random
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.player import joining
 from lss_motion.player.due_moves import EARLY_MAX_US, DueMoves

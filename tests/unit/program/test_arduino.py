@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError

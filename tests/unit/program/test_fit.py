@@ -1,10 +1,10 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.program.fit import TimedFit
 from lss_motion.program.moves import fitted_profiles, profiles_from_rest

@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 from random import Random
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.program.model import Move, Program
 from lss_motion.program.move_table import MADE_AT_ONCE, MoveTable, columns_of, table_of

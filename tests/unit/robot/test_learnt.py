@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jsonschema
 import pytest
 import yaml
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.robot.learnt import (

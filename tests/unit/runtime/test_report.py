@@ -1,10 +1,10 @@
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.player.events import Faulted
 from lss_motion.player.player import Player
@@ -38,7 +38,7 @@ def report(playing, **fields):
 def test_a_run_without_a_show_still_has_every_field_of_the_report():
     found = report(player()).to_dict()
     json.dumps(found, allow_nan=False)
-    assert list(found) == [field.name for field in dataclasses.fields(Report)]
+    assert list(found) == list(Report.__struct_fields__)
     assert found["schema"] == 1
     assert (found["sequence"], found["robot"], found["simulated"]) == ("wave", "bench", True)
     assert (found["planned_s"], found["played_s"], found["run_s"]) == (1.5, 0.0, 2.0)
@@ -56,11 +56,11 @@ def test_a_report_prints_as_one_short_line():
 
 
 def test_the_json_names_the_error_of_the_horns_only_where_it_is_known():
-    values = {field.name: 0 for field in dataclasses.fields(JointReport)}
+    values = dict.fromkeys(JointReport.__struct_fields__, 0)
     values |= {"trace": TraceReport(at_s=(), planned_deg=(), measured_deg=())}
     known = JointReport(**values)
-    unknown = dataclasses.replace(known, horn_error_rms_deg=None, horn_error_max_deg=None)
-    found = dataclasses.replace(report(player()), joints={"a": known, "b": unknown}).to_dict()
+    unknown = replace(known, horn_error_rms_deg=None, horn_error_max_deg=None)
+    found = replace(report(player()), joints={"a": known, "b": unknown}).to_dict()
     assert set(found["joints"]["a"]) - set(found["joints"]["b"]) == {
         "horn_error_rms_deg",
         "horn_error_max_deg",

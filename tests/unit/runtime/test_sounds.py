@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 import wave
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from msgspec.structs import replace
 
 import lss_motion as lss
 from lss_motion.cli.play import main as play
@@ -200,7 +200,7 @@ def test_a_leader_besides_the_device_is_named_and_each_sound_is_handed_over_once
         Cue(at_s=0.1 * n, sound=str(tmp_path / "music.wav"), lead_s=0.05) for n in range(1, 5)
     )
     program, robot = nod(tmp_path)
-    program = dataclasses.replace(program, cues=(*cues, Cue(at_s=0.2, say="hello")))
+    program = replace(program, cues=(*cues, Cue(at_s=0.2, say="hello")))
     result = perform(program, robot, sound=SoundChoice(leads=False))
     commands = [json.loads(line) for line in received.read_text().splitlines()]
     assert {"leads": False} in commands

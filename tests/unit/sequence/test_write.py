@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause, FaultStep

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel

@@ -128,6 +128,4 @@ def test_a_file_has_the_same_keys_and_single_joints(arm, tmp_path):
 
 
 def test_every_key_sets_a_field():
-    assert {word.field for word in WORDS.values()} | {"joints"} == set(
-        Deviation.__dataclass_fields__
-    )
+    assert {word.field for word in WORDS.values()} | {"joints"} == set(Deviation.__struct_fields__)

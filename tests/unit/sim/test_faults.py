@@ -1,7 +1,6 @@
-from dataclasses import replace
-
 import pytest
 from campaign.random_faults import KINDS, mixed_faults, random_faults
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.protocol.constants import Family

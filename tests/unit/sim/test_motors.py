@@ -1,12 +1,12 @@
 """Judged against closed forms written here, never against the simulator's own profile."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lss_motion.sim.physics import TICK_NS, Physics
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.studio.keeper import PAUSE_MAX_S, PROVEN_S, Keeper, Seen
 

@@ -8,10 +8,10 @@ import json
 import os
 import random
 import zipfile
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.files import cache

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Layer, Sequence, Step, Timing

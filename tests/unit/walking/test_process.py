@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import multiprocessing
 import select
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from lss_motion import shows
 from lss_motion.errors import PlanningError
