@@ -109,7 +109,7 @@ def test_readings_targets_and_events_have_their_times(folder: Path) -> None:
 
 
 def test_a_messages_is_decoded_by_the_support_for_ros(folder: Path) -> None:
-    support = pytest.importorskip("mcap_ros2.decoder")
+    support = pytest.importorskip("mcap_ros2.decoder", reason="install lss-motion[dev]")
     _, entries = read_log(folder / "run.log")
     data = mcap_of_log(entries, load_robot(folder / "robot.yaml"))
     opened = reader.make_reader(io.BytesIO(data), decoder_factories=[support.DecoderFactory()])
