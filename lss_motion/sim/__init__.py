@@ -11,6 +11,7 @@
 | `boards` | LSS-2IO boards with their pins | `bus` |
 | `motors` | all motors of a bus: orders, current, temperature, safe mode | `bus`, `servo` |
 | `horns` | how horns follow their profiles, with load and play | `motors` |
+| `blocks` | many control loops at once, where nothing holds a horn back | `horns`, `motors` |
 | `profile` | the trajectory that a servo generates for one move | `horns`, `servo` |
 | `physics` | every physical number, with its source | all |
 | `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |

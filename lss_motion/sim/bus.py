@@ -305,7 +305,7 @@ class SimBus:
             return False
         if self._faults.turns:
             self._turn_until(received_ns)
-        self.motors.advance(received_ns)
+        self.motors.follow(received_ns)
         for servo in self._rc_servos:
             servo.note_line(received_ns)
         faults = self._faults
@@ -337,7 +337,8 @@ class SimBus:
                     self._sort_servos()
                     if servo is self._usb_servo:
                         self._drop_port(received_ns)
-        self._answering.send(received_ns, commands, answers)
+        if answers:
+            self._answering.send(received_ns, commands, answers)
 
     def _deliver_to_boards(self, received_ns: int, line: bytes) -> None:
         for board in self._boards:

@@ -27,15 +27,20 @@ class HornHistory:
         self._angles_deg = np.zeros((FIRST_ROWS, servo_count))
 
     def append(self, time_ns: int, angles_deg: NDArray[np.float64]) -> None:
-        assert not self._count or self._times_ns[self._count - 1] < time_ns, (
+        self.extend(np.array([time_ns]), angles_deg[None])
+
+    def extend(self, times_ns: NDArray[np.int64], angles_deg: NDArray[np.float64]) -> None:
+        """Append rows of (instants, servos)."""
+        assert not self._count or self._times_ns[self._count - 1] < times_ns[0], (
             "rows must be in order of time"
         )
-        if self._count == len(self._times_ns):
+        end = self._count + len(times_ns)
+        while end > len(self._times_ns):
             self._times_ns = np.concatenate([self._times_ns, np.zeros_like(self._times_ns)])
             self._angles_deg = np.concatenate([self._angles_deg, np.zeros_like(self._angles_deg)])
-        self._times_ns[self._count] = time_ns
-        self._angles_deg[self._count] = angles_deg
-        self._count += 1
+        self._times_ns[self._count : end] = times_ns
+        self._angles_deg[self._count : end] = angles_deg
+        self._count = end
 
     def horn_deg(self, times_ns: Iterable[int] | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the angles at the given instants, (instants, servos), in the order of the specs.

@@ -1,8 +1,7 @@
 """The horns of all servos of one bus, and what drives them through time.
 
-`Horns` computes how horns follow their profiles: a first-order lag, exact within a phase, for all
-servos in one numpy step. `Drives` gives each horn its phases: limp, a profile (EM1, wheel, hold) or
-the filter (EM0). Angles are raw.
+`Horns` computes how horns follow their profiles: a first-order lag, exact within a phase. `Drives`
+gives each horn its phases: limp, a profile (EM1, wheel, hold) or the filter (EM0). Angles are raw.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
+from lss_motion.sim.blocks import Block
 from lss_motion.sim.physics import FILTER_TICKS, TICK_NS
 from lss_motion.sim.profile import (
     Chase,
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.sim.blocks import Final3
     from lss_motion.sim.physics import Physics, ServoSpec
 
 
@@ -56,23 +57,25 @@ class Horns:
 
     def __init__(self, specs: Sequence[ServoSpec], physics: Physics) -> None:
         count = len(specs)
-        self.deg = np.array([spec.start_deg for spec in specs], dtype=float)
-        self.deg_s = np.zeros(count)
-        self.gap_deg = np.zeros(count)
-        self.droop_deg = np.zeros(count)
+        self.deg = [float(spec.start_deg) for spec in specs]
+        self.deg_s = [0.0] * count
+        self.gap_deg = [0.0] * count
+        self.droop_deg = [0.0] * count
         self.phases = [rest_at(spec.start_deg) for spec in specs]
         self.end_ns = [FOREVER_NS] * count
+        self.next_end_ns = FOREVER_NS
+        """When the first of the present phases ends."""
+        self.block: Block | None = None
+        """While loops are owed: what they must know of the horns."""
+        self._stall_deg = physics.stall_deg
+        self.has_ended = [False] * count
+        """Whether a phase has ended, and the horn was not brought any further."""
         self._began_ns = [0] * count
         self._lags_s = [physics.lag_s] * count
-        self._minus_lag_s = np.full(count, -physics.lag_s)
         self._is_jammed = [False] * count
-        self._is_any_jammed = False
-        self._ns = np.zeros(count, dtype=np.int64)
-        self._phase_ns = np.zeros(count, dtype=np.int64)
-        self._finals = np.zeros((3, count))
-        """Coefficients of where the horns would end up but for their droop: parabolas of the time
-        since their phases began."""
-        self._finals[0] = self.deg
+        self._ns = [0] * count
+        self._finals: list[Final3] = [(deg, 0.0, 0.0) for deg in self.deg]
+        """Where the horns would end up but for their droop."""
         self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
         self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
         is_touched = any(spec.hand is not None or spec.push is not None for spec in specs)
@@ -80,15 +83,16 @@ class Horns:
         """Whether a load, a hand or a push pulls any horn."""
         self._half_play_deg = np.array([spec.backlash_deg for spec in specs], dtype=float) / 2.0
         self._has_play = bool(self._half_play_deg.any())
-        self._shaft_deg = self.deg.copy()
+        self.may_owe = not (self.may_droop or self._has_play)
+        """Whether loops may be owed: each may be computed without the one before it."""
+        self._shaft_deg = np.array(self.deg)
         self.holding_ratio = np.ones(count)
         self.pull_deg = np.zeros(count)
         """How far a hand pulls each powered horn; set by `motors`."""
 
     def start(self, now_ns: int) -> None:
-        self._ns[:] = now_ns
-        self._phase_ns[:] = now_ns
-        self._began_ns = [now_ns] * len(self._began_ns)
+        self._ns = [now_ns] * len(self._ns)
+        self._began_ns = [now_ns] * len(self._ns)
 
     def begin(self, index: int, now_ns: int, phase: Phase) -> None:
         """Begin a phase at `now_ns`, to which the horn has been brought."""
@@ -96,33 +100,47 @@ class Horns:
         duration_s = phase.duration_s
         is_last = duration_s == math.inf
         self.end_ns[index] = FOREVER_NS if is_last else now_ns + round(duration_s * NS_PER_S)
+        self.next_end_ns = min(self.end_ns)
         self._began_ns[index] = now_ns
-        self._phase_ns[index] = now_ns
-        at_deg = self._set_final(index)
-        self.gap_deg[index] = self.deg.item(index) - (at_deg - self.droop_deg.item(index))
+        self._set_final(index, now_ns)
 
-    def _set_final(self, index: int) -> float:
-        """Note the parabola that the horn approaches; return where it begins."""
+    def _set_final(self, index: int, now_ns: int) -> None:
+        """Note where the horn, which is at `now_ns`, would end up in its phase."""
         _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
-        lag_s, finals = self._lags_s[index], self._finals
+        lag_s = self._lags_s[index]
         behind_deg_s = speed_deg_s - lag_s * accel_deg_s2
-        at_deg = position_deg - lag_s * behind_deg_s
-        finals[0, index], finals[1, index], finals[2, index] = (
-            at_deg,
-            behind_deg_s,
-            0.5 * accel_deg_s2,
-        )
-        return at_deg
+        final = (position_deg - lag_s * behind_deg_s, behind_deg_s, 0.5 * accel_deg_s2)
+        self._finals[index] = final
+        phase_s = (now_ns - self._began_ns[index]) / NS_PER_S
+        final_deg = (final[2] * phase_s + behind_deg_s) * phase_s + final[0]
+        gap_deg = self.deg[index] - (final_deg - self.droop_deg[index])
+        self.gap_deg[index] = gap_deg
+        if self.block is not None:
+            self.block.last_phase_ns = now_ns
+            self.block.phases.append((now_ns, index, (*final, gap_deg)))
+            self.block.is_held |= self._may_be_held(index, self.block.tops_deg_s[index])
+
+    def _may_be_held(self, index: int, top_deg_s: float) -> bool:
+        """Return whether the horn may lag so far in its phase that its motor's limits matter."""
+        _, by_deg_s, by_deg_s2 = self._finals[index]
+        duration_s = self.phases[index].duration_s
+        last_deg_s = by_deg_s if by_deg_s2 == 0.0 else by_deg_s + 2.0 * by_deg_s2 * duration_s
+        gap_deg = abs(self.gap_deg[index])
+        left_deg_s = top_deg_s - gap_deg / self._lags_s[index]
+        is_slow = -left_deg_s <= by_deg_s <= left_deg_s and -left_deg_s <= last_deg_s <= left_deg_s
+        return gap_deg > self._stall_deg or not is_slow
 
     def coast(self, index: int, now_ns: int, top_deg_s: float) -> None:
         """Bring one horn to `now_ns` within its phase."""
-        passed_s = (now_ns - self._ns.item(index)) / NS_PER_S
+        passed_s = (now_ns - self._ns[index]) / NS_PER_S
         if passed_s <= 0.0:
             return
-        final_deg = self._final_deg(index, now_ns)
-        deg = self.deg.item(index)
+        at_deg, by_deg_s, by_deg_s2 = self._finals[index]
+        phase_s = (now_ns - self._began_ns[index]) / NS_PER_S
+        final_deg = (by_deg_s2 * phase_s + by_deg_s) * phase_s + at_deg - self.droop_deg[index]
+        deg = self.deg[index]
         fading = math.exp(-passed_s / self._lags_s[index])
-        moved_deg = final_deg + self.gap_deg.item(index) * fading - deg
+        moved_deg = final_deg + self.gap_deg[index] * fading - deg
         reach_deg = 0.0 if self._is_jammed[index] else top_deg_s * passed_s
         if not -reach_deg <= moved_deg <= reach_deg:
             moved_deg = math.copysign(reach_deg, moved_deg)
@@ -130,49 +148,66 @@ class Horns:
         self.deg_s[index] = moved_deg / passed_s
         self.gap_deg[index] = deg + moved_deg - final_deg
         self._ns[index] = now_ns
+        self.has_ended[index] = False
+        if self.block is not None:
+            self.block.looks.append((now_ns, index, deg + moved_deg))
 
-    def step(self, now_ns: int, top_deg_s: NDArray[np.float64]) -> None:
+    def step(self, now_ns: int, tops_deg_s: Sequence[float]) -> None:
         """Bring all horns to `now_ns`; none of their phases ends before."""
-        phase_s = np.subtract(now_ns, self._phase_ns) / NS_PER_S
-        passed_s = np.subtract(now_ns, self._ns)
-        np.maximum(passed_s, 1, out=passed_s)
-        passed_s = passed_s / NS_PER_S
-        at_deg, by_deg_s, by_deg_s2 = self._finals
-        final_deg = by_deg_s2 * phase_s
-        final_deg += by_deg_s
-        final_deg *= phase_s
-        final_deg += at_deg
-        if self.may_droop:
-            final_deg -= self.droop_deg
-        moved_deg = passed_s / self._minus_lag_s
-        np.exp(moved_deg, out=moved_deg)
-        moved_deg *= self.gap_deg
-        moved_deg += final_deg
-        moved_deg -= self.deg
-        reach_deg = top_deg_s * passed_s
-        np.minimum(moved_deg, reach_deg, out=moved_deg)
-        np.maximum(moved_deg, np.negative(reach_deg, out=reach_deg), out=moved_deg)
-        if self._is_any_jammed:
-            moved_deg[self._is_jammed] = 0.0
-        self.deg += moved_deg
-        self.gap_deg = np.subtract(self.deg, final_deg, out=final_deg)
-        self.deg_s = np.divide(moved_deg, passed_s, out=moved_deg)
-        self._ns.fill(now_ns)
+        for index, top_deg_s in enumerate(tops_deg_s):
+            is_ended = self.has_ended[index] or self._ns[index] == now_ns
+            self.coast(index, now_ns, top_deg_s)
+            if is_ended:  # A loop in which a phase ends measures only how the gap fades.
+                most_deg_s = 0.0 if self._is_jammed[index] else top_deg_s
+                fading_deg_s = -self.gap_deg[index] / self._lags_s[index]
+                self.deg_s[index] = min(max(fading_deg_s, -most_deg_s), most_deg_s)
+        self.has_ended = [False] * len(self.has_ended)
         if self._has_play:
             self._shaft_deg = self.shafts_deg()
 
+    def open_block(self, now_ns: int, tops_deg_s: Sequence[float]) -> None:
+        """Owe the loops after `now_ns`, where all horns are, unless one may be held back."""
+        if any(self._is_jammed):
+            return
+        if any(self._may_be_held(index, top_deg_s) for index, top_deg_s in enumerate(tops_deg_s)):
+            return
+        self.block = Block(
+            now_ns,
+            lags_s=self._lags_s,
+            began_ns=self._began_ns,
+            finals=self._finals,
+            deg=self.deg,
+            gap_deg=self.gap_deg,
+            deg_s=self.deg_s,
+            tops_deg_s=tops_deg_s,
+        )
+
+    def close_block(self) -> None:
+        """Owe no more loops: bring all horns to the last one of the block."""
+        block, self.block = self.block, None
+        assert block is not None
+        states = zip(block.deg.tolist(), block.gap_deg.tolist(), block.deg_s.tolist(), strict=True)
+        for index, (deg, gap_deg, deg_s) in enumerate(states):
+            passed_ns = self._ns[index] - block.ns
+            if passed_ns > 0:  # It has been brought further.
+                self.deg_s[index] = (self.deg[index] - deg) * NS_PER_S / passed_ns
+                continue
+            self._ns[index], self.has_ended[index] = block.ns, False
+            self.deg[index], self.gap_deg[index], self.deg_s[index] = deg, gap_deg, deg_s
+
     def shafts_deg(self) -> NDArray[np.float64]:
         """Return where the horns are: within the play of their gears, on the side of their load."""
+        deg = np.array(self.deg)
         if not self._has_play:
-            return self.deg
-        low_deg, high_deg = self.deg - self._half_play_deg, self.deg + self._half_play_deg
+            return deg
+        low_deg, high_deg = deg - self._half_play_deg, deg + self._half_play_deg
         shaft_deg = np.minimum(np.maximum(self._shaft_deg, low_deg), high_deg)
-        pull = self._load_deg * np.cos(np.radians(self.deg - self._level_deg))
+        pull = self._load_deg * np.cos(np.radians(deg - self._level_deg))
         return np.where(pull == 0.0, shaft_deg, np.where(pull > 0.0, low_deg, high_deg))
 
     def shaft_deg(self, index: int) -> float:
         """Return where one horn is; see `shafts_deg`."""
-        return float(self.shafts_deg()[index]) if self._has_play else self.deg.item(index)
+        return float(self.shafts_deg()[index]) if self._has_play else self.deg[index]
 
     def wrap(self, index: int) -> None:
         """Forget whole turns: the angle lies within ±180 from now on."""
@@ -183,11 +218,11 @@ class Horns:
     def sag(self, is_powered: NDArray[np.bool_]) -> None:
         """Let the loads pull as they do at the angles that the horns have now."""
         if self.may_droop:
-            level = np.cos(np.radians(self.deg - self._level_deg))
+            level = np.cos(np.radians(np.array(self.deg) - self._level_deg))
             pulled_deg = self._load_deg * self.holding_ratio * level - self.pull_deg
             droop_deg = is_powered * pulled_deg
-            self.gap_deg += droop_deg - self.droop_deg
-            self.droop_deg = droop_deg
+            self.gap_deg = (np.array(self.gap_deg) + (droop_deg - self.droop_deg)).tolist()
+            self.droop_deg = droop_deg.tolist()
 
     def release(self, index: int) -> None:
         """Take the motor's force away: friction alone keeps the horn where it is."""
@@ -196,27 +231,22 @@ class Horns:
     def lead(self, index: int, now_ns: int, deg_s: float) -> None:
         """Let a horn without power turn at `deg_s` from now on."""
         ahead_deg = self._lags_s[index] * deg_s
-        self.begin(index, now_ns, Phase(math.inf, float(self.deg[index]) + ahead_deg, deg_s, 0.0))
+        self.begin(index, now_ns, Phase(math.inf, self.deg[index] + ahead_deg, deg_s, 0.0))
 
     def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
-        self._lags_s[index], self._minus_lag_s[index] = lag_s, -lag_s
-        self._set_final(index)
-        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
+        self._lags_s[index] = lag_s
+        self._set_final(index, now_ns)
 
     def jam(self, index: int, *, is_jammed: bool) -> None:
         """Keep a horn from turning whatever the motor does, or free it again."""
         self._is_jammed[index] = is_jammed
-        self._is_any_jammed = any(self._is_jammed)
 
     def is_moving(self) -> bool:
         """Return whether a profile moves, or a phase follows."""
-        for phase in self.phases:  # Faster than `any`, in every control loop.
-            if phase.speed_deg_s != 0.0 or phase.duration_s != math.inf:
-                return True
-        return False
+        return self.next_end_ns < FOREVER_NS or any(p.speed_deg_s != 0.0 for p in self.phases)
 
     def is_settled(self) -> bool:
-        return all(abs(gap_deg) < SETTLED_DEG for gap_deg in self.gap_deg.tolist())
+        return all(abs(gap_deg) < SETTLED_DEG for gap_deg in self.gap_deg)
 
     def profile_at(self, index: int, now_ns: int) -> tuple[float, float]:
         """Return where the servo's own profile is, and its speed."""
@@ -226,15 +256,6 @@ class Horns:
             position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s,
             speed_deg_s + accel_deg_s2 * passed_s,
         )
-
-    def _final_deg(self, index: int, now_ns: int) -> float:
-        """Return the angle that the horn would approach if this phase never ended."""
-        _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
-        lag_s = self._lags_s[index]
-        passed_s = (now_ns - self._began_ns[index]) / NS_PER_S
-        behind_deg = lag_s * (speed_deg_s + accel_deg_s2 * passed_s - lag_s * accel_deg_s2)
-        profile_deg = position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s
-        return profile_deg - behind_deg - self.droop_deg.item(index)
 
 
 FILTER_NS = FILTER_TICKS * TICK_NS
@@ -278,7 +299,7 @@ class Drives:
         """Begin an order from the present position and speed of the profile."""
         position_deg, speed_deg_s = self._horns.profile_at(index, now_ns)
         if self.mode[index] is Mode.LIMP:  # Without a profile: from where the horn is.
-            position_deg, speed_deg_s = float(self._horns.deg[index]), 0.0
+            position_deg, speed_deg_s = self._horns.deg[index], 0.0
         if self._physics.retarget == "from_rest":
             speed_deg_s = 0.0
         match order:
@@ -336,7 +357,7 @@ class Drives:
         self.mode[index] = Mode.LIMP
         self.is_powered[index] = False
         self._horns.release(index)
-        self._start(index, now_ns, [rest_at(float(self._horns.deg[index]))])
+        self._start(index, now_ns, [rest_at(self._horns.deg[index])])
 
     def _start(self, index: int, now_ns: int, phases: list[Phase]) -> None:
         first, *others = phases

@@ -1,6 +1,7 @@
 """The motors of all servos of one bus, simulated through time.
 
-`Motors` executes orders, steps the common grid of control loops and applies safe mode. `Power`
+`Motors` executes orders, steps the common grid of control loops, as many at once as may be, and
+applies safe mode. `Power`
 computes currents, the voltage of the common battery, temperatures, and which motors are stalled.
 All angles are raw: from the factory's zero, clockwise, over many turns.
 """
@@ -14,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lss_motion.protocol.constants import Family
+from lss_motion.sim.blocks import BLOCK_NS
 from lss_motion.sim.hand import HAND_DEG_S
-from lss_motion.sim.horns import Drives, Horns, Mode
+from lss_motion.sim.horns import FOREVER_NS, SETTLED_DEG, Drives, Horns, Mode
 from lss_motion.sim.physics import TICK_NS
 from lss_motion.sim.profile import Halt, Limp, Motion, Order, SafeCause
 from lss_motion.units import ns_from_s, s_from_ns
@@ -82,6 +84,38 @@ class Power:
         self._felt_v = self.supply_v()
         self.top_deg_s = self._top_deg_s()
 
+    def feel_loops(self, horn_deg_s: NDArray[np.float64], is_powered: NDArray[np.bool_]) -> None:
+        """Update from the speeds in many loops, a row each, without loads and stalled motors."""
+        physics = self._physics
+        motors_ma = is_powered * (np.abs(horn_deg_s) / self._model_deg_s * physics.running_ma)
+        finals_c = self._final_c(np.concatenate([self.motor_ma[None], motors_ma[:-1]]))
+        remaining = math.exp(-s_from_ns(TICK_NS) / physics.heating_s)
+        powers = remaining ** np.arange(len(finals_c), -1.0, -1.0)
+        self._temperature_c = powers[0] * self._temperature_c
+        self._temperature_c += (1.0 - remaining) * (powers[1:] @ finals_c)
+        self.motor_ma = motors_ma[-1]
+        self._felt_v = self.supply_v()
+        self.top_deg_s = self._top_deg_s()
+
+    def sure_tops_deg_s(self) -> list[float] | None:
+        """Return the speeds that motors reach whatever the others do; None: one may be stopped.
+
+        So it is while no motor stalls or holds a load: then it draws at most its running current.
+        """
+        physics, count = self._physics, len(self.motor_ma)
+        if self._is_any_stuck:
+            return None
+        most = float((self._nominal_deg_s / self._model_deg_s).max())
+        most_ma = physics.running_ma * most * max(self.battery_v / physics.nominal_v, 1.0)
+        high_v = self.battery_v - physics.supply_ohm * count * physics.idle_ma / 1000.0
+        low_v = high_v - physics.supply_ohm * count * most_ma / 1000.0
+        most_c = max(float(self._final_c(most_ma)), *self._temperature_c.tolist())
+        is_supplied = physics.supply_min_v <= low_v <= high_v <= physics.supply_max_v
+        if not is_supplied or most_c > physics.temperature_max_c:
+            return None
+        tops_deg_s: list[float] = (self._nominal_deg_s * (low_v / physics.nominal_v)).tolist()
+        return tops_deg_s
+
     def stuck(self) -> list[int]:
         """Return the servos whose motors are stalled."""
         return np.flatnonzero(self.stuck_s).tolist() if self._is_any_stuck else []
@@ -101,7 +135,7 @@ class Power:
 
     def is_steady(self) -> bool:
         """Return whether no limit can be reached while all horns rest."""
-        final_c = self._final_c()
+        final_c = self._final_c(self.motor_ma)
         is_cool = all((final_c <= self._physics.temperature_max_c).tolist())
         return is_cool and not self._is_any_stuck
 
@@ -110,7 +144,7 @@ class Power:
 
     def temperatures_c(self, passed_s: float) -> NDArray[np.float64]:
         """Return the temperatures `passed_s` after the last `feel`, with currents unchanged."""
-        final_c = self._final_c()
+        final_c = self._final_c(self.motor_ma)
         remaining = math.exp(-passed_s / self._physics.heating_s)
         temperature_c = self._temperature_c - final_c
         temperature_c *= remaining
@@ -139,12 +173,11 @@ class Power:
         self._strength_ratio[index] = ratio
         self._nominal_deg_s = self._model_deg_s * self._duty_ratio * self._strength_ratio
 
-    def _final_c(self) -> NDArray[np.float64]:
-        amperes = self.motor_ma / 1000.0
-        final_c = self._physics.heating_c_per_a2 * amperes
-        final_c *= amperes
-        final_c += self._physics.ambient_c
-        return final_c
+    def _final_c(self, motor_ma: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Return the temperatures that motors would reach with these currents."""
+        amperes = np.asarray(motor_ma) / 1000.0
+        final_c = self._physics.heating_c_per_a2 * amperes * amperes
+        return np.asarray(final_c + self._physics.ambient_c)
 
 
 class Motors:
@@ -189,15 +222,48 @@ class Motors:
 
     def advance(self, now_ns: int) -> None:
         """Simulate all servos up to `now_ns`. The result does not depend on the number of calls."""
-        while self._orders and self._orders[0][0] <= now_ns:
-            taken_ns, _, index, order = self._orders[0]
-            self._tick_until(taken_ns)
-            heapq.heappop(self._orders)
+        self.follow(now_ns)
+        self._close_block(now_ns)
+
+    def follow(self, now_ns: int) -> None:
+        """Simulate the drives up to `now_ns`: orders and phases. Control loops may be owed."""
+        horns = self.horns
+        while True:
+            order_ns = self._orders[0][0] if self._orders else FOREVER_NS
+            if horns.block is None and now_ns >= self._tick_ns + TICK_NS:
+                self._tick_until(min(order_ns, now_ns))
+            end_ns = FOREVER_NS if horns.block is None else horns.next_end_ns
+            due_ns = min(end_ns, order_ns)
+            full_ns = FOREVER_NS if horns.block is None else self._tick_ns + BLOCK_NS
+            if full_ns <= now_ns and full_ns <= due_ns:
+                self._measure(full_ns)
+            elif due_ns > now_ns:
+                return
+            elif due_ns == end_ns:
+                self._end_phase(end_ns)
+            else:
+                self._take_order()
+
+    def _take_order(self) -> None:
+        """Take up the first of the orders, to which all that comes before it has been done."""
+        taken_ns, _, index, order = heapq.heappop(self._orders)
+        may_rest = self.horns.next_end_ns == FOREVER_NS
+        is_switched = isinstance(order, Limp) or not self._drives.is_powered[index]
+        if self.horns.block is None or may_rest or is_switched:
             self._disturb(index, taken_ns)
-            if self.safe_cause[index] is SafeCause.NONE:
-                self._drives.take_up(index, taken_ns, order)
-        if now_ns >= self._tick_ns + TICK_NS:
-            self._tick_until(now_ns)
+        else:
+            self._catch_up(index, taken_ns)
+        if self.safe_cause[index] is SafeCause.NONE:
+            self._drives.take_up(index, taken_ns, order)
+        if self.horns.block is not None and self.horns.block.is_held:
+            self._close_block(taken_ns)
+
+    def _end_phase(self, end_ns: int) -> None:
+        """End the phase of a horn while loops are owed."""
+        index = self.horns.end_ns.index(end_ns)
+        self._catch_up(index, end_ns)
+        if self.horns.block is not None and self.horns.block.is_held:
+            self._close_block(end_ns)
 
     def order(self, index: int, received_ns: int, order: Order) -> None:
         """Give servo `index` an order; it starts at its first control loop from `received_ns`."""
@@ -242,6 +308,11 @@ class Motors:
         self._disturb(index, now_ns)
         self.horns.jam(index, is_jammed=is_jammed)
 
+    def set_duty(self, index: int, now_ns: int, ratio: float) -> None:
+        """Let a motor reach that share of its top speed by its settings."""
+        self._close_block(now_ns)
+        self.power.set_duty(index, ratio)
+
     @property
     def is_resting(self) -> bool:
         return self._is_quiet and not self._orders
@@ -261,15 +332,16 @@ class Motors:
         self._disturb(index, now_ns)
         self.power.set_temperature(index, temperature_c)
 
-    # -- what a servo can measure of itself; `advance(now_ns)` has been called --------------------
+    # -- what a servo can measure of itself; `follow(now_ns)` has been called ---------------------
 
     def horn_deg(self, index: int, now_ns: int) -> float:
         self._catch_up(index, now_ns)
         return self.horns.shaft_deg(index)
 
     def horn_deg_s(self, index: int, now_ns: int) -> float:
+        self._close_block(now_ns)
         self._catch_up(index, now_ns)
-        return float(self.horns.deg_s[index])
+        return self.horns.deg_s[index]
 
     def motion(self, index: int, now_ns: int) -> Motion:
         """Return the state of the servo: its faults first, then its profile."""
@@ -291,10 +363,16 @@ class Motors:
         """Return the travel speed of the last move."""
         return self._drives.travel_deg_s[index]
 
-    def current_ma(self, index: int) -> float:
+    def supply_v(self, now_ns: int) -> float:
+        self._measure(now_ns)
+        return self.power.supply_v()
+
+    def current_ma(self, index: int, now_ns: int) -> float:
+        self._measure(now_ns)
         return self.physics.idle_ma + float(self.power.motor_ma[index])
 
     def temperature_c(self, index: int, now_ns: int) -> float:
+        self._measure(now_ns)
         return float(self.power.temperatures_c(s_from_ns(now_ns - self._tick_ns))[index])
 
     def seen_deg(self, index: int, raw_deg: float) -> float:
@@ -312,6 +390,9 @@ class Motors:
         while (end_ns := self.horns.end_ns[index]) <= now_ns:
             self.horns.coast(index, end_ns, top_deg_s)
             self._drives.next_phase(index, end_ns)
+            self.horns.has_ended[index] = True
+            if self.horns.block is not None:
+                self.horns.block.looks.append((end_ns, index, math.nan))
         self.horns.coast(index, now_ns, top_deg_s)
 
     def _disturb(self, index: int, now_ns: int) -> None:
@@ -319,14 +400,42 @@ class Motors:
 
         The grid, which stood still, is first put to its last point before `now_ns`.
         """
+        self._close_block(now_ns)
         skipped = (now_ns - self._tick_ns) // TICK_NS
         if self._is_quiet and skipped > 0:
             self._step(self._tick_ns + skipped * TICK_NS)
         self._is_quiet = False
         self._catch_up(index, now_ns)
 
+    def _close_block(self, now_ns: int) -> None:
+        """Let each loop after `now_ns` act on the next one again."""
+        self._measure(now_ns)
+        if self.horns.block is not None:
+            self.horns.close_block()
+
+    def _measure(self, now_ns: int) -> None:
+        """Compute the loops that are owed up to `now_ns`."""
+        block = self.horns.block
+        loops = None if block is None else block.loops(now_ns)
+        if block is None or loops is None:
+            return
+        if not self.horns.is_moving():
+            is_settled = np.abs(loops.gap_deg).max(axis=1) < SETTLED_DEG
+            is_settled &= loops.ns >= block.last_phase_ns
+            if is_settled.any():
+                self._is_quiet = True
+                loops = loops.first(int(is_settled.argmax()) + 1)
+        block.measured(loops)
+        self._tick_ns = block.ns
+        self.power.feel_loops(loops.deg_s, self._drives.is_powered)
+        if self.history is not None:
+            self.history.extend(loops.ns, loops.deg)
+        if self._is_quiet:
+            self.horns.close_block()
+
     def _tick_until(self, now_ns: int) -> None:
-        while not self._is_quiet and self._tick_ns + TICK_NS <= now_ns:
+        """Step the loops up to `now_ns`, or until they may be owed."""
+        while not self._is_quiet and self.horns.block is None and self._tick_ns + TICK_NS <= now_ns:
             self._step(self._tick_ns + TICK_NS)
 
     def _step(self, now_ns: int) -> None:
@@ -335,7 +444,7 @@ class Motors:
                 if end_ns <= now_ns:
                     self._catch_up(index, now_ns)
         self.horns.sag(self._drives.is_powered)
-        self.horns.step(now_ns, self.power.top_deg_s)
+        self.horns.step(now_ns, self.power.top_deg_s.tolist())
         if self._led:
             for index in list(self._led):
                 self._lead(index, now_ns)
@@ -350,6 +459,10 @@ class Motors:
             and self.horns.is_settled()
             and self.power.is_steady()
         )
+        if self.horns.may_owe and not self._is_quiet:
+            tops_deg_s = self.power.sure_tops_deg_s()
+            if tops_deg_s is not None:
+                self.horns.open_block(now_ns, tops_deg_s)
 
     def _lead(self, index: int, now_ns: int) -> None:
         """Move a horn by hand until the next point of the grid, or until the hand ends."""
@@ -363,7 +476,7 @@ class Motors:
                     horns.lead(index, now_ns, 0.0)
         elif self._drives.mode[index] is Mode.LIMP:
             horns.pull_deg[index] = 0.0
-            speed_deg_s = (hand_deg - float(horns.deg[index])) / s_from_ns(TICK_NS)
+            speed_deg_s = (hand_deg - horns.deg[index]) / s_from_ns(TICK_NS)
             horns.lead(index, now_ns, min(max(speed_deg_s, -HAND_DEG_S), HAND_DEG_S))
         else:
             give = min(self.physics.hand_give_ratio * float(horns.holding_ratio[index]), 1.0)
@@ -383,8 +496,9 @@ class Motors:
         horns, power = self.horns, self.power
         passed_s = s_from_ns(now_ns - self._tick_ns)
         self._tick_ns = now_ns
-        droop_deg = horns.droop_deg if horns.may_droop else None
-        power.feel(passed_s, horns.deg_s, horns.gap_deg, droop_deg, self._drives.is_powered)
+        droop_deg = np.array(horns.droop_deg) if horns.may_droop else None
+        deg_s, is_powered = np.array(horns.deg_s), self._drives.is_powered
+        power.feel(passed_s, deg_s, np.array(horns.gap_deg), droop_deg, is_powered)
         for index in power.stuck():
             limit = self._limits_ma[index]
             if limit is not None and power.motor_ma[index] > limit[0]:
@@ -399,7 +513,7 @@ class Motors:
         if isinstance(order, Limp):
             self._drives.go_limp(index, now_ns)
         else:
-            self._drives.hold(index, now_ns, float(self.horns.deg[index]))
+            self._drives.hold(index, now_ns, self.horns.deg[index])
 
     def _record(self, now_ns: int) -> None:
         if self.history is not None:

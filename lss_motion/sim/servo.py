@@ -467,7 +467,7 @@ class Servo:
         self._moves.forget_ramps()
         self._apply_frame()
         self._apply_stiffness(now_ns)
-        self._apply_duty()
+        self._apply_duty(now_ns)
 
     def _apply(self, row: Row, now_ns: int) -> None:
         match row.name:
@@ -479,9 +479,9 @@ class Servo:
                 self._moves.forget_ramps()
                 self._apply_stiffness(now_ns)
             case "MMD":
-                self._apply_duty()
+                self._apply_duty(now_ns)
             case "SM":
-                self._apply_duty()
+                self._apply_duty(now_ns)
                 self._apply_stiffness(now_ns)
             case "FD" | "FP":  # CFP and CFD overwrite each other (FACTS.md C16).
                 self.settings.eeprom["FP" if row.name == "FD" else "FD"] = None
@@ -508,10 +508,10 @@ class Servo:
         halvings = math.log2((self.settings.number("SM") or 1) / (self.settings.factory("SM") or 1))
         return float(self._motors.physics.torque_per_step_mode_ratio**halvings)
 
-    def _apply_duty(self) -> None:
+    def _apply_duty(self, now_ns: int) -> None:
         duty = self.settings.session.get("MMD")
         ratio = 1.0 if duty is None else duty / DUTY_MAX
         steps = self.settings.number("SM")
         if steps:
             ratio *= self.settings.factory("SM") / steps
-        self._motors.power.set_duty(self.index, ratio)
+        self._motors.set_duty(self.index, now_ns, ratio)

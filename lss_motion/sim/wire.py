@@ -254,6 +254,8 @@ class Adapter:
 
     def __init__(self, latency_ns: int) -> None:
         self._latency_ns = latency_ns
+        self.is_prompt = not latency_ns
+        """Whether every byte is delivered when it arrives."""
         self._origin_ns = 0
         self._outages_ns: Sequence[tuple[int, int]] = ()
         self._packets: deque[Packet] = deque()
@@ -279,11 +281,6 @@ class Adapter:
         last.data.append(value)
         if len(last.data) == PACKET_BYTES:
             last.due_ns = end_ns
-
-    @property
-    def is_prompt(self) -> bool:
-        """Whether every byte is delivered when it arrives."""
-        return not self._latency_ns
 
     def take_all(
         self, edges_ns: Sequence[int], start_ns: int, data: bytes, first: int, until: int
