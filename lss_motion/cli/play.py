@@ -250,7 +250,9 @@ def _play(
             is_off=arguments.no_sound,
             leads=arguments.follow is None,
         )
-        terminal = stack.enter_context(Terminal(rate=rate or 1.0, sound=sound))
+        terminal = stack.enter_context(
+            Terminal(rate=rate or 1.0, sound=sound, is_virtual=arguments.virtual)
+        )
         problems: list[str] = []
         offer = "" if rate is not None or not is_asked else learning.offer
         result, is_careful = _perform(

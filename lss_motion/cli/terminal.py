@@ -12,6 +12,7 @@ import select
 import signal
 import socket
 import sys
+import time
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from lss_motion.runtime.signals import ENDING
@@ -29,6 +30,9 @@ KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"
 RATE_STEP: Final = 0.1
 RATE_MIN: Final = 0.1
 _HANGUP: Final = getattr(signal, "SIGHUP", None)
+LOOK_S: Final = 0.02
+"""In virtual time the keyboard is looked at so often. Chosen: a person notices no delay, and
+there are thousands of turns a second."""
 _PENDING_MAX: Final = 5
 """One more signal that no call of `take` has collected ends a program that hangs."""
 
@@ -50,10 +54,13 @@ def is_at_keyboard() -> bool:
 class Inputs:
     """Collects keys and signals; a context manager.
 
-    `signal_number` is the last signal that ended the run, or None.
+    `signal_number` is the last signal that ended the run, or None. In virtual time no wait ends for
+    a key, and keys are looked for every `LOOK_S` of the computer's time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_virtual: bool = False) -> None:
+        self._is_virtual = is_virtual
+        self._look_s = 0.0
         self.signal_number: int | None = None
         self._pending: list[int] = []
         self._has_hung_up = False
@@ -93,6 +100,11 @@ class Inputs:
 
     def take(self) -> tuple[int, str]:
         """Return the number of signals since the last call, and the keys."""
+        if self._is_virtual and not self._pending:
+            now_s = time.monotonic()
+            if now_s < self._look_s:
+                return 0, ""
+            self._look_s = now_s + LOOK_S
         with contextlib.suppress(BlockingIOError):
             self._wake.recv(64)
         count = len(self._pending)
@@ -161,8 +173,9 @@ class Terminal(Inputs):
         *,
         rate: float = 1.0,
         sound: SoundChoice | None = None,
+        is_virtual: bool = False,
     ) -> None:
-        super().__init__()
+        super().__init__(is_virtual=is_virtual)
         self.sound = sound
         self._on_keys = on_keys
         self._rate = rate

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
 import pytest
 
-from lss_motion.cli.terminal import Inputs
+from lss_motion.cli import terminal
+from lss_motion.cli.terminal import LOOK_S, Inputs
 
 
 @pytest.mark.parametrize(
@@ -48,3 +50,25 @@ def test_a_run_that_takes_no_signals_can_be_ended_all_the_same():
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("is_virtual", [False, True], ids=["real time", "virtual time"])
+def test_in_virtual_time_keys_are_looked_for_now_and_then_and_signals_always(
+    monkeypatch, is_virtual
+):
+    now_s = [100.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now_s[0])
+    keys, keyboard = os.pipe()
+    with Inputs(is_virtual=is_virtual) as inputs:
+        inputs._keys_fd = keys
+        os.write(keyboard, b"+")
+        assert inputs.take() == (0, "+")
+        os.write(keyboard, b"q")
+        now_s[0] += 0.9 * LOOK_S
+        assert inputs.take() == (0, "" if is_virtual else "q")
+        now_s[0] += 0.2 * LOOK_S
+        assert inputs.take() == (0, "q" if is_virtual else "")
+        signal.raise_signal(signal.SIGINT)
+        assert inputs.take() == (1, "")
+    for end in (keys, keyboard):
+        os.close(end)
