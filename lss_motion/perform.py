@@ -161,7 +161,7 @@ def drive(
         _reopening(connection, player, tap),
         connection.clock,
         on_event=on_event,
-        on_turn=turn,
+        on_turn=calls[0] if len(calls) == 1 else turn,
         controls=observer.controls,
         tap=tap,
     )

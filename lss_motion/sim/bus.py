@@ -183,8 +183,8 @@ class SimBus:
     @property
     def is_resting(self) -> bool:
         """Return whether no horn moves and no command is on the line."""
-        self.motors.advance(self._now_ns)
-        return self.motors.is_resting and not self._host_line.lines
+        self.motors.follow(self._now_ns)
+        return self.motors.is_resting(self._now_ns) and not self._host_line.lines
 
     def set_host_rate(self, baud_bps: int, now_ns: int) -> None:
         """Set the rate of the host from now on. Only servos set to that rate receive its bytes."""
@@ -329,7 +329,7 @@ class SimBus:
                 if servo.baud_bps != self.baud_bps or not servo.is_listening(received_ns):
                     continue
                 if self.lines is not None:
-                    self._note(servo.index)
+                    self._note(servo.index, self.lines[-1])
                 reply = servo.obey(command, received_ns)
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
@@ -350,16 +350,15 @@ class SimBus:
                 servo_id = pin.servo_id
                 if not self._faults.is_deaf(servo_id, received_ns):
                     if pin.index is not None and self.lines is not None:
-                        self._note(pin.index)
+                        self._note(pin.index, self.lines[-1])
                     reply = board.obey(pin, command, received_ns)
                     if reply is not None:
                         answer = Answer(board, servo_id, command, reply)
                         self._answering.send(received_ns, [command], [answer])
 
-    def _note(self, index: int) -> None:
-        """Record the last of `lines` for a servo; one with several commands only once."""
-        assert self.lines is not None
-        entry, received = self.lines[-1], self.received[index]
+    def _note(self, index: int, entry: tuple[int, bytes]) -> None:
+        """Record a line that a servo received; one with several commands only once."""
+        received = self.received[index]
         if not received or received[-1] != entry:
             received.append(entry)
 

@@ -313,8 +313,10 @@ class Motors:
         self._close_block(now_ns)
         self.power.set_duty(index, ratio)
 
-    @property
-    def is_resting(self) -> bool:
+    def is_resting(self, now_ns: int) -> bool:
+        """Return whether no horn moves or will move; `follow(now_ns)` has been called."""
+        if not self.horns.is_moving():
+            self._measure(now_ns)
         return self._is_quiet and not self._orders
 
     def weaken(self, index: int, now_ns: int, speed_ratio: float) -> None:
@@ -386,14 +388,15 @@ class Motors:
 
     def _catch_up(self, index: int, now_ns: int) -> None:
         """Bring one horn to `now_ns`, through the ends of its phases."""
-        top_deg_s = self.power.top_deg_s.item(index)
-        while (end_ns := self.horns.end_ns[index]) <= now_ns:
-            self.horns.coast(index, end_ns, top_deg_s)
+        horns = self.horns
+        top_deg_s = math.inf if horns.block is not None else self.power.top_deg_s.item(index)
+        while (end_ns := horns.end_ns[index]) <= now_ns:
+            horns.coast(index, end_ns, top_deg_s)
             self._drives.next_phase(index, end_ns)
-            self.horns.has_ended[index] = True
-            if self.horns.block is not None:
-                self.horns.block.looks.append((end_ns, index, math.nan))
-        self.horns.coast(index, now_ns, top_deg_s)
+            horns.has_ended[index] = True
+            if horns.block is not None:
+                horns.block.looks.append((end_ns, index, math.nan))
+        horns.coast(index, now_ns, top_deg_s)
 
     def _disturb(self, index: int, now_ns: int) -> None:
         """Leave rest, if there is rest, and bring one servo to `now_ns`.

@@ -84,9 +84,9 @@ def plan_move(
     away_deg = target_deg - position_deg
     if abs(away_deg) > TINY_DEG:
         sign = 1.0 if away_deg > 0.0 else -1.0
-        speed_deg_s = abs(speed_deg_s)
-        stretches = _trapezoid(abs(away_deg), speed_deg_s, ramps)
-        speed_deg_s *= sign
+        towards_deg_s = abs(speed_deg_s)
+        stretches = _trapezoid(abs(away_deg), towards_deg_s, ramps)
+        speed_deg_s = sign * towards_deg_s
         for duration_s, accel_deg_s2 in stretches:
             if duration_s > TINY_S:
                 phase = Phase(duration_s, position_deg, speed_deg_s, sign * accel_deg_s2)
@@ -171,7 +171,8 @@ def _trapezoid(distance_deg: float, speed_deg_s: float, ramps: Ramps) -> list[tu
         peak = max(peak, speed_deg_s)
     ramp_s = abs(peak - speed_deg_s) / first_rate
     ramps_deg = abs(peak**2 - speed_deg_s**2) / (2.0 * first_rate) + peak**2 / (2.0 * decel)
-    cruise_s = max(distance_deg - ramps_deg, 0.0) / peak if peak > 0.0 else 0.0
+    cruised_deg = distance_deg - ramps_deg
+    cruise_s = cruised_deg / peak if cruised_deg > 0.0 < peak else 0.0
     return [(ramp_s, first_accel), (cruise_s, 0.0), (peak / decel, -decel)]
 
 

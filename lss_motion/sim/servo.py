@@ -381,7 +381,10 @@ class Servo:
             return None
         form, row = found
         if form is Form.QUERY:
-            return self._answer(command, row, now_ns)
+            measure = self._readings.measured.get(row.name)
+            if measure is None or command.value is not None:
+                return self._answer(command, row, now_ns)
+            return Reply(self.servo_id, command.keyword, measure(now_ns))
         is_acknowledged = self.settings.number("CR") != 0 and command.servo_id != BROADCAST_ID
         self._execute(command, form, row, armed, now_ns)
         if not is_acknowledged or not self.is_listening(now_ns):
@@ -427,9 +430,6 @@ class Servo:
         self._apply_session(now_ns)
 
     def _answer(self, command: Command, row: Row, now_ns: int) -> Reply:
-        measure = None if command.value is not None else self._readings.measured.get(row.name)
-        if measure is not None:
-            return Reply(self.servo_id, command.keyword, measure(now_ns))
         suffix = None
         if isinstance(command.value, int) and row.suffixes is not None:
             suffix = row.suffixes.get(command.value)

@@ -88,8 +88,6 @@ class HostLine:
     def _arrival_ns(self) -> int:
         left_ns = line_time_ns(self._burst_bytes, self._baud_bps)
         at_ns = self._burst_ns
-        if not self._clogs_ns:
-            return at_ns + left_ns
         for from_ns, until_ns in self._clogs_ns:
             if until_ns > at_ns and from_ns < at_ns + left_ns:
                 left_ns -= max(from_ns - at_ns, 0)
@@ -204,14 +202,6 @@ class ServoLine:
         while self._ends_ns and adapter.due_ns(self._ends_ns[0]) <= now_ns:
             heapq.heappop(self._ends_ns)
 
-    def _pair_end_ns(self) -> int:
-        """Return when the first whole reply is complete, and the second if it follows at once."""
-        first_ns = self._whole[0][1]
-        if len(self._whole) == 1:
-            return first_ns
-        begin_ns, end_ns, _ = self._whole[1]
-        return end_ns if begin_ns - first_ns <= self._edges_ns[PAIR_GAP_BYTES] else first_ns
-
     def next_end_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
 
@@ -219,7 +209,11 @@ class ServoLine:
         With an adapter that sends packets: when the host gets it, or a full packet before it.
         """
         if self._whole:
-            return self._pair_end_ns()
+            first_ns = self._whole[0][1]
+            if len(self._whole) == 1:
+                return first_ns
+            begin_ns, end_ns, _ = self._whole[1]
+            return end_ns if begin_ns - first_ns <= self._edges_ns[PAIR_GAP_BYTES] else first_ns
         if not self._ends_ns:
             return None
         due_ns = self._adapter.due_ns(self._ends_ns[0])
@@ -254,8 +248,6 @@ class Adapter:
 
     def __init__(self, latency_ns: int) -> None:
         self._latency_ns = latency_ns
-        self.is_prompt = not latency_ns
-        """Whether every byte is delivered when it arrives."""
         self._origin_ns = 0
         self._outages_ns: Sequence[tuple[int, int]] = ()
         self._packets: deque[Packet] = deque()
@@ -281,6 +273,11 @@ class Adapter:
         last.data.append(value)
         if len(last.data) == PACKET_BYTES:
             last.due_ns = end_ns
+
+    @property
+    def is_prompt(self) -> bool:
+        """Whether every byte is delivered when it arrives."""
+        return not self._latency_ns
 
     def take_all(
         self, edges_ns: Sequence[int], start_ns: int, data: bytes, first: int, until: int
