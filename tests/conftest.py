@@ -31,8 +31,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keep plans and answers in folders of the test run, not in those of the user."""
-    os.environ["LSS_MOTION_CACHE_DIR"] = str(tmp_path_factory.mktemp("cache"))
+    """Keep plans and answers in folders of the test run, not in those of the user.
+
+    All workers share the plans: an entry is written as a whole, so it can be read at any time.
+    """
+    run = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        run = run.parent
+    os.environ["LSS_MOTION_CACHE_DIR"] = str(run / "plans")
     os.environ["LSS_MOTION_STATE_DIR"] = str(tmp_path_factory.mktemp("state"))
 
 

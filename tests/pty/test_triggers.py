@@ -212,12 +212,14 @@ def test_a_note_of_another_program_comes_through_jack():
         sequence = await asyncio.create_subprocess_exec(
             "jack_midiseq", "sequence", "4000", "0", "60", "2000", stdout=subprocess.DEVNULL
         )
-        for _ in range(50):
+
+        def has_opened():
             port.open()
-            if port.open_name is not None:
-                break
-            port.close()
-            await asyncio.sleep(0.1)
+            if port.open_name is None:
+                port.close()  # What is missing is looked for in some seconds only.
+            return port.open_name is not None
+
+        await until(has_opened)
         await until(lambda: done)
         sequence.kill()
         await sequence.wait()

@@ -219,9 +219,7 @@ class Stage:
 
 
 @pytest.fixture
-def stage(monkeypatch, tmp_path_factory):
-    cache = tmp_path_factory.getbasetemp() / "plans"
-    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(cache))
+def stage(monkeypatch):
     return Stage(monkeypatch)
 
 

@@ -93,11 +93,6 @@ FOUND_MIXED = (
 """Seeds with all kinds of faults, for both judges."""
 
 
-@pytest.fixture(autouse=True)
-def own_cache(monkeypatch, tmp_path_factory):
-    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "plans"))
-
-
 @pytest.mark.parametrize("chunk", range(CHUNKS))
 def test_whatever_goes_wrong_no_promise_is_broken(chunk):
     played = {seed: judge.judged(seed) for seed in SEEDS[chunk::CHUNKS]}

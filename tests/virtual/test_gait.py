@@ -22,12 +22,6 @@ LEGS = {6: ("hexapod", "hexapod_walk"), 4: ("quadruped", "quadruped_trot")}
 PATTERN_NAMES = [(legs, name) for legs, known in PATTERNS.items() for name in known]
 
 
-@pytest.fixture(autouse=True)
-def _cache(monkeypatch, tmp_path_factory):
-    cache = tmp_path_factory.getbasetemp() / "plans"
-    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(cache))
-
-
 class Walked:
     """A gait file that was played, its plan, and where its feet really were."""
 

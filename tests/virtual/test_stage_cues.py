@@ -21,6 +21,7 @@ from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage_run import perform_stage
 
 S = 1_000_000_000
+BEGINS = datetime(2026, 10, 30, 18, 0, tzinfo=UTC)
 
 ROBOT = """\
 robot: puppet
@@ -66,7 +67,17 @@ class Judge(Witness):
         self.end_ns = now_ns
 
 
-def evening(folder, lasts_s, more="", faults=None, acts=(), judges=None, hands=None, **options):
+def evening(
+    folder,
+    lasts_s,
+    more="",
+    faults=None,
+    acts=(),
+    judges=None,
+    hands=None,
+    begins=BEGINS,
+    **options,
+):
     """Play an evening; return how it ended, its records and its runs, each judged at its horns.
 
     `acts` are what operators do: `(at_s, function of the director and the instant)`.
@@ -89,7 +100,7 @@ def evening(folder, lasts_s, more="", faults=None, acts=(), judges=None, hands=N
 
     options = Options(
         is_virtual=True,
-        begins=datetime(2026, 10, 30, 18, 0, tzinfo=UTC),
+        begins=begins,
         lasts_s=lasts_s,
         seed=1,
         next_faults=faults,
@@ -270,8 +281,9 @@ def test_a_hot_servo_is_remembered_when_another_show_begins(folder):
 def test_a_clock_that_is_set_in_mid_show_moves_nothing_and_fires_nothing_twice(folder, monkeypatch):
     """The bytes are the same as with a clock that is right, to the nanosecond."""
     every = "  - {cue: two, on: {time: '*/2 * * * *'}, play: wink, start: add}\n"
-    steps_s = ((30.0, 45.0), (50.0, -50.0), (115.0, 20.0), (130.0, -40.0))
-    """At 18:00:30, in a show, it is 45 s late; and so on: the clock passes 18:02 three times."""
+    begins = BEGINS + timedelta(minutes=1)
+    steps_s = ((5.0, 45.0), (14.0, -50.0), (50.0, 20.0), (60.0, -40.0))
+    """At 18:01:05, in a show, it is 45 s late; and so on: the clock passes 18:02 three times."""
     right = StageRun.wall
 
     def wall(run):
@@ -283,12 +295,12 @@ def test_a_clock_that_is_set_in_mid_show_moves_nothing_and_fires_nothing_twice(f
         with monkeypatch.context() as patch:
             if is_set:
                 patch.setattr(StageRun, "wall", wall)
-            acts = [(29.5, lambda director, now_ns: director.play("scare", now_ns))]
-            _, records, _ = evening(folder, 170.0, every, acts=acts, judges=judges)
+            acts = [(4.5, lambda director, now_ns: director.play("scare", now_ns))]
+            _, records, _ = evening(folder, 90.0, every, acts=acts, judges=judges, begins=begins)
         fired = [one["cue"] for one in records if one["kind"] == "fired" and one["cue"] == "two"]
         assert fired == ["two"]
         found.append((judges[0].writes["main"], records))
-    until_ns = 100 * S  # Until the cue comes, which is when the clock says so.
+    until_ns = 45 * S  # Until the cue comes, which is when the clock says so.
     before, after = ([one for one in writes if one[0] < until_ns] for writes, _ in found)
     assert before == after
     assert len(before) > 1000
