@@ -8,6 +8,8 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
+from lss_motion.files import cache
+
 settings.register_profile(
     "gate",
     deadline=None,
@@ -33,13 +35,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep plans and answers in folders of the test run, not in those of the user.
 
-    All workers share the plans: an entry is written as a whole, so it can be read at any time.
+    All workers share plans and shows, and the key of these: an entry is written as a whole, so it
+    can be read at any time.
     """
     run = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         run = run.parent
     os.environ["LSS_MOTION_CACHE_DIR"] = str(run / "plans")
-    os.environ["LSS_MOTION_STATE_DIR"] = str(tmp_path_factory.mktemp("state"))
+    state = tmp_path_factory.mktemp("state")
+    (state / cache.KEY_NAME).write_bytes(bytes(cache.KEY_BYTES))
+    (state / cache.KEY_NAME).chmod(0o600)
+    os.environ["LSS_MOTION_STATE_DIR"] = str(state)
 
 
 def pytest_xdist_auto_num_workers() -> int:
