@@ -353,7 +353,7 @@ def test_a_second_stop_holds_at_once(stage, kit):
 # ---- pausing, and other speeds
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_at_any_speed_and_through_pauses_the_horns_stay_on_their_path(stage, kit, seed):
     random = np.random.default_rng(seed)
     instants_s = np.sort(random.uniform(0.2, 7.0, 4))
