@@ -32,7 +32,8 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     due_moves       moves in the order in which they leave              streamer
     rate_ramps      moves computed at run time: rate not 1, guiding     streamer
     setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
-    joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
+    joint_state     one joint: sent moves, model, readings              streamer, polling
+    lateness        how late the moves of a run left                    streamer, report
     estimators      load, play, lag, lost moves of a joint              joint_state
     standing        corrections of a joint at rest                      joint_state
     polling         queries in the gaps between moves, and their use    streamer

@@ -53,6 +53,7 @@ class Agenda:
         self._cues = program.unrolled_cues()
         self._mark = next(self._marks, None)
         self._cue = next(self._cues, None)
+        self._note_next()
         self._lights: deque[tuple[str, Command]] = deque()
 
     def begin_at(self, show_s: float | None) -> None:
@@ -71,9 +72,16 @@ class Agenda:
             self._mark = next(self._marks, None)
         while self._cue is not None and self._cue[0] < show_s:
             self._cue = next(self._cues, None)
+        self._note_next()
+
+    def _note_next(self) -> None:
+        self._next_s = min((due[0] for due in (self._mark, self._cue) if due), default=math.inf)
+        """Show time of the next mark or cue."""
 
     def advance(self, show: Streaming, lines: Mapping[str, SerialLine], now_ns: int) -> list[Event]:
         """Return the marks and cues reached; send the LED orders that fit between moves."""
+        if self._next_s == math.inf and not self._lights:
+            return []
         show_s = show.clock.show_s(now_ns)
         events: list[Event] = []
         while self._mark is not None and self._mark[0] <= show_s:
@@ -85,6 +93,8 @@ class Agenda:
             for name, colour in cue.led:
                 self.light(self._robot.joints[name], colour)
             self._cue = next(self._cues, None)
+        if self._next_s <= show_s:
+            self._note_next()
         if self._lights:
             self._light(show.quiet_ns(now_ns), lines, now_ns)
         return events
@@ -100,16 +110,16 @@ class Agenda:
 
         While the rate changes, and while only moves leave no room, the show wakes often enough.
         """
-        wakeups_ns = []
+        wakeup_ns = None
         if self._lights and lines[self._lights[0][0]].free_ns > now_ns:
-            wakeups_ns.append(lines[self._lights[0][0]].free_ns)
-        nexts = [due[0] for due in (self._mark, self._cue) if due is not None]
-        if nexts and show is not None and not show.clock.is_ramping(now_ns):
-            due_ns = show.clock.instant_ns(min(nexts))
+            wakeup_ns = lines[self._lights[0][0]].free_ns
+        if self._next_s < math.inf and show is not None and now_ns >= show.clock.ramp_end_ns:
+            due_ns = show.clock.instant_ns(self._next_s)
             if due_ns is not None:
-                # What was rounded down is not passed yet.
-                wakeups_ns.append(max(due_ns, now_ns + NS_PER_US))
-        return min(wakeups_ns, default=None)
+                if due_ns < now_ns + NS_PER_US:  # What was rounded down is not passed yet.
+                    due_ns = now_ns + NS_PER_US
+                wakeup_ns = due_ns if wakeup_ns is None else min(wakeup_ns, due_ns)
+        return wakeup_ns
 
     def _light(self, quiet_ns: int | None, lines: Mapping[str, SerialLine], now_ns: int) -> None:
         while self._lights:
@@ -144,30 +154,29 @@ class SensorWatch:
     """Sensors that are read all the time, also between shows; a caller takes the readings."""
 
     def __init__(self, sensors: Iterable[Sensor]) -> None:
-        self._sensors = {(sensor.bus, sensor.servo_id): sensor for sensor in sensors}
+        self.sensors = {(sensor.bus, sensor.servo_id): sensor for sensor in sensors}
+        """By bus and servo id."""
         self._polled_ns: dict[tuple[str, int], int] = {}
         self._readings: deque[tuple[str, int]] = deque(maxlen=READINGS_MAX)
 
     def query(self, bus: str, now_ns: int) -> Command | None:
         """Return the query that is overdue for longest on `bus`; None: none is due."""
-        if not self._sensors:  # Most robots have none, and this is called for every query.
-            return None
         due = [
             (self._polled_ns.get(place, -WATCH_PERIOD_NS) + WATCH_PERIOD_NS, place)
-            for place in self._sensors
+            for place in self.sensors
             if place[0] == bus
         ]
         due_ns, place = min(due, default=(now_ns + 1, ("", 0)))
         if due_ns > now_ns:
             return None
-        return Command(place[1], "QA", SUFFIXES.get(self._sensors[place].kind))
+        return Command(place[1], "QA", SUFFIXES.get(self.sensors[place].kind))
 
     def note_query_sent(self, bus: str, servo_id: int, now_ns: int) -> None:
         self._polled_ns[bus, servo_id] = now_ns
 
     def take_reply(self, bus: str, servo_id: int, value: int | str | None) -> None:
         """Keep an answer to `QA`; answers of other inputs are ignored."""
-        sensor = self._sensors.get((bus, servo_id))
+        sensor = self.sensors.get((bus, servo_id))
         if sensor is not None and isinstance(value, int):
             self._readings.append((sensor.name, value))
 
@@ -204,28 +213,21 @@ class Waiting:
         """Go on from `from_s` with these waits, also back in time; a present wait is over."""
         self._points = dropwhile(lambda due: due[0] < from_s, points)
         self._next: tuple[float, Wait] | None = None
-        self._back_s = 0.0
         self._since_ns: int | None = None
-        self._go_on()
-
-    @property
-    def next_s(self) -> float:
+        self.next_s = math.inf
         """Show time of the next wait; `math.inf`: there is none."""
-        return math.inf if self._next is None else self._next[0]
+        self.back_s = 0.0
+        """How far the show goes back for the idle motion of this wait; 0: it stands instead."""
+        self._go_on()
 
     @property
     def is_waiting(self) -> bool:
         return self._since_ns is not None
 
     @property
-    def back_s(self) -> float:
-        """How far the show goes back for the idle motion of this wait; 0: it stands instead."""
-        return self._back_s
-
-    @property
     def is_standing(self) -> bool:
         """Whether the show waits without idle motion."""
-        return self.is_waiting and self._back_s == 0.0
+        return self._since_ns is not None and self.back_s == 0.0
 
     @property
     def text(self) -> str:
@@ -241,7 +243,7 @@ class Waiting:
         With idle motion the clock does not stop; it goes back where the idle motion ends.
         """
         state: WaitState | None
-        back_s = self._back_s
+        back_s = self.back_s
         if self.is_waiting:
             text, state = self.text, self._ended(now_ns)
             if state is None and back_s and clock.show_s(now_ns) >= self.next_s:
@@ -310,7 +312,8 @@ class Waiting:
         self._since_ns = None
         due = next(self._points, None)
         self._next = None if due is None else (due[0], due[1].wait)
-        self._back_s = 0.0 if due is None else due[1].back_s
+        self.next_s = math.inf if due is None else due[0]
+        self.back_s = 0.0 if due is None else due[1].back_s
 
     def _end_ns(self) -> int | None:
         assert self._next is not None

@@ -7,14 +7,25 @@ from itertools import chain, takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.estimators import LAG_MAX_S
-from lss_motion.units import us_from_s
+from lss_motion.units import US_PER_S, s_from_us, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from lss_motion.clock_leg import ClockLeg
+    from lss_motion.player.show_clock import ShowClock
     from lss_motion.program.model import Move
 
 EARLY_MAX_US: Final = us_from_s(LAG_MAX_S)
+
+
+def earliest_after(now_ns: int, instants_ns: Iterable[int | None]) -> int | None:
+    """Return the first of these instants that is later than `now_ns`; None: there is none."""
+    first_ns = None
+    for at_ns in instants_ns:
+        if at_ns is not None and at_ns > now_ns and (first_ns is None or at_ns < first_ns):
+            first_ns = at_ns
+    return first_ns
 
 
 class Due(NamedTuple):
@@ -40,6 +51,21 @@ class DueMoves:
         self._newest_us: dict[tuple[str, int], int] = {}
         """By servo, when its last move that was looked at leaves."""
         self._number = 0
+        self._first_ns: int | None = None
+        self._kept_for: tuple[ClockLeg | None, float] = None, 0.0
+        """The leg of the show clock and the show time for which `_first_ns` was computed."""
+
+    def first_ns(self, clock: ShowClock, before_s: float) -> int | None:
+        """Return when the next move leaves; None: none is due before the show time `before_s`.
+
+        It is computed anew only if the moves, the clock or `before_s` have changed since.
+        """
+        leg, kept_before_s = self._kept_for
+        if leg is not clock.leg or kept_before_s != before_s:
+            due = self.first(US_PER_S * before_s)
+            self._first_ns = None if due is None else clock.instant_ns(s_from_us(due.at_us))
+            self._kept_for = clock.leg, before_s
+        return self._first_ns
 
     def first(self, before_us: float) -> Due | None:
         """Return the next move to leave among those that are due before `before_us`."""
@@ -58,6 +84,7 @@ class DueMoves:
 
     def pop(self) -> Due:
         """Remove the move that `first` returned; return it."""
+        self._kept_for = None, 0.0
         return heapq.heappop(self._soon)
 
     def next_us(self, servo: tuple[str, int], before_us: float) -> int | None:
@@ -68,6 +95,7 @@ class DueMoves:
 
     def pass_by(self, until_us: float) -> list[tuple[int, Move]]:
         """Remove all moves that are due until then, in order of time, and return them."""
+        self._kept_for = None, 0.0
         passed = [due for due in self._soon if due.due_us <= until_us]
         self._soon = [due for due in self._soon if due.due_us > until_us]
         heapq.heapify(self._soon)
@@ -79,6 +107,7 @@ class DueMoves:
 
     def replace_from(self, from_us: int, moves: Iterable[Move]) -> None:
         """Replace all that is due at `from_us` or later by `moves`."""
+        self._kept_for = None, 0.0
         self._soon = sorted(due for due in self._soon if due.due_us < from_us)
         self._newest_us = {(due.move.bus, due.move.servo_id): due.at_us for due in self._soon}
         waiting = chain([] if self._head is None else [self._head], self._upcoming)

@@ -171,6 +171,18 @@ class HornEstimator:
     _plain: float = 0.0
     _left: float = 0.0
     """Sums of squared errors in seconds: without an extra lag, and with that estimated so far."""
+    lag_s: float = 0.0
+    """Lag besides the assumed one, within `LAG_MAX_S`."""
+    early_s: float = 0.0
+    """By how much commands are sent earlier: the lag, or 0 if it is small or no lag."""
+    model_ratio: float = 1.0
+    """Share of a correction that may be used: 1 unless the model of the servo is wrong.
+
+    With other ramps or a weak motor a horn is still on its way where its model rests, and that is
+    no load.
+    """
+    worth_ratio: float = 1.0
+    """Share of the load that is worth correcting: the one that makes the errors smallest."""
 
     # ---- what is known
 
@@ -198,14 +210,15 @@ class HornEstimator:
         """Half of the play of the gears, as far as it is known."""
         return abs(self._mean[PLAY])
 
-    @property
-    def lag_s(self) -> float:
-        """Lag besides the assumed one, within `LAG_MAX_S`."""
-        return min(max(self._mean[-1], -LAG_MAX_S), LAG_MAX_S)
+    def _note_known(self) -> None:
+        """Compute anew what a reading has changed and every move needs."""
+        self.lag_s = min(max(self._mean[-1], -LAG_MAX_S), LAG_MAX_S)
+        self.model_ratio = min(max(0.0, 2.0 - self.unexplained_s / FOUND_S), 1.0)
+        self.worth_ratio = min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
+        self.early_s = self._early_s()
 
-    @property
-    def early_s(self) -> float:
-        """By how much commands are sent earlier: the lag, or 0 if it is small or no lag.
+    def _early_s(self) -> float:
+        """Return the lag, or 0 if it is small or no lag.
 
         Where much is left that it does not explain, it is no lag either: a motor that is too weak
         is late on its way there, and on the way back it was sent too early.
@@ -227,20 +240,6 @@ class HornEstimator:
         An error counts as time, so that fast moves do not outvote the others.
         """
         return 1.0 - self._left / self._plain if self._plain > 0.0 else 0.0
-
-    @property
-    def worth_ratio(self) -> float:
-        """Share of the load that is worth correcting: the one that makes the errors smallest."""
-        return min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
-
-    @property
-    def model_ratio(self) -> float:
-        """Share of a correction that may be used: 1 unless the model of the servo is wrong.
-
-        With other ramps or a weak motor a horn is still on its way where its model rests, and that
-        is no load.
-        """
-        return min(max(0.0, 2.0 - self.unexplained_s / FOUND_S), 1.0)
 
     @property
     def unexplained_s(self) -> float:
@@ -280,6 +279,7 @@ class HornEstimator:
         rest = (1.0 - keep) * WORTH_DEG2_S
         self._common = keep * self._common + weight * error_deg * load_deg + rest
         self._square = keep * self._square + weight * load_deg * load_deg + rest
+        self.worth_ratio = min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
 
     def take(
         self,
@@ -309,7 +309,7 @@ class HornEstimator:
         noise = (self.noise_deg2 + timing_deg2) * max(1.0, CORRELATED_S / max(elapsed_s, 1e-3))
         strange = surprise_deg * surprise_deg / (STRANGE_SIGMAS**2 * (known + noise))
         is_slow = timing_deg2 < self.noise_deg2
-        late_deg = (self.lag_s - self.early_s) * speed_deg_s
+        late_deg = (self.lag_s - self._early_s()) * speed_deg_s
         self._note_strange(surprise_deg, elapsed_s, is_strange=is_slow and strange > 1.0)
         total = known + noise * max(1.0, strange * strange)
         for row, own in enumerate(spread):
@@ -326,6 +326,7 @@ class HornEstimator:
         if abs(speed_deg_s) >= min(SPEED_DEG_S, STEADY_RATIO * recent_deg_s) > 0.0:
             late_s = (plain_deg - measured_deg - load_deg) / speed_deg_s
             self._judge_lag(late_s, surprise_deg / speed_deg_s, speed_deg_s, elapsed_s)
+        self._note_known()
 
     def rest(self, load_deg: float, angle_deg: float) -> None:
         """Use the distance of a horn that certainly rests on `angle_deg` from its profile."""
@@ -514,7 +515,8 @@ class DisturbanceEstimator:
     def correct(self, offset_deg: float) -> None:
         """Set the correction, within its bounds."""
         self.offset_deg = min(max(offset_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
-        self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
+        if not -self.offset_max_deg <= self.offset_deg <= self.offset_max_deg:
+            self.offset_max_deg = abs(self.offset_deg)
 
     def stand_at(self, standing_deg: float) -> None:
         """Start anew with a horn that stands at `standing_deg`; the estimate is kept."""

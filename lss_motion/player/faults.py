@@ -136,12 +136,13 @@ class FaultEscalation:
         """Take the steps of another show from now on, which may resume as often as the first."""
         self._show, self._resumes = show, 0
 
-    def next_wakeup_ns(self) -> int | None:
+    def wakeups_ns(self) -> list[int]:
         """Return when `judge` has something to do if no servo answers before."""
-        wakeups_ns = [self._next_ns(fault) for fault in self._active.values() if not fault.is_last]
-        if self._slowed_ns is not None:
-            wakeups_ns.append(self._slowed_ns + SLOW_EVERY_NS)
-        return min(wakeups_ns, default=None)
+        wakeups_ns = [] if self._slowed_ns is None else [self._slowed_ns + SLOW_EVERY_NS]
+        if self._active:
+            active = self._active.values()
+            wakeups_ns += [self._next_ns(fault) for fault in active if not fault.is_last]
+        return wakeups_ns
 
     def _next_ns(self, fault: _Escalated) -> int:
         return fault.since_ns + ns_from_s(self._robot.patience_s)
@@ -227,7 +228,7 @@ class FaultHandler:
             self._judged_ns = now_ns
             self._judge_models(streamer)
         health = streamer.scheduler.health
-        if self.escalation.is_idle and not health.active_faults:
+        if not health.active_faults and self.escalation.is_idle:
             return Verdict.CONTINUE
         # A joint in another turn is stopped, not resumed: first that is known.
         found = {

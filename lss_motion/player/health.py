@@ -118,8 +118,8 @@ class HealthMonitor:
         """Joints whose last reading is in another turn."""
         self._counts: dict[FaultKey, int] = {}
         self._astray_since_ns: dict[str, int] = {}
-        self._unanswered: dict[str, _Unanswered] = {}
-        """Servos that did not answer their last query."""
+        self.awaited: dict[str, _Unanswered] = {}
+        """By joint, servos that did not answer their last query."""
         self._before: dict[tuple[str, str], float] = {}
         self.temperatures_c: dict[str, float] = {}
         """Of each joint, what the last two readings confirm."""
@@ -205,8 +205,8 @@ class HealthMonitor:
     def answered(self, state: JointState) -> None:
         """Note any answer of a servo."""
         name = state.joint.name
-        if self._unanswered:
-            self._unanswered.pop(name, None)
+        if self.awaited:
+            self.awaited.pop(name, None)
         if self.active_faults:
             self.active_faults.pop((name, Cause.SILENT), None)
 
@@ -218,13 +218,13 @@ class HealthMonitor:
         """
         joint = state.joint
         new = _Unanswered(joint, since_ns, first_ns=now_ns, last_ns=now_ns)
-        known = self._unanswered.setdefault(joint.name, new)
+        known = self.awaited.setdefault(joint.name, new)
         known.count += 1
         known.last_ns = now_ns
 
     def advance(self, now_ns: int) -> None:
         """Find silent servos, without waiting for a query that is late on a full line."""
-        if not self._unanswered:
+        if not self.awaited:
             return
         for joint, since_ns in self._fading():
             if now_ns >= since_ns + ns_from_s(joint.silent_s):
@@ -236,7 +236,7 @@ class HealthMonitor:
 
     def wakeups_ns(self) -> list[int]:
         """Return when `advance` must be called at the latest."""
-        if not self._unanswered:
+        if not self.awaited:
             return []
         return [
             since_ns + ns_from_s(joint.silent_s)
@@ -246,11 +246,11 @@ class HealthMonitor:
 
     def unresponsive(self) -> set[str]:
         """Return the joints whose last query was not answered."""
-        return set(self._unanswered)
+        return set(self.awaited)
 
     def _fading(self) -> Iterator[tuple[Joint, int]]:
         """Yield servos that will count as silent, and when they last answered."""
-        for one in self._unanswered.values():
+        for one in self.awaited.values():
             if one.count >= SILENT_QUERIES and one.last_ns > one.first_ns:
                 yield one.joint, one.since_ns
 

@@ -106,11 +106,11 @@ def on_time_s(
     assert move is not None
     if move.duration_ms is None:
         return 0.0
-    arrival_ns = line.arrival_ns(len(move.data), now_ns)
+    arrival_ns, target_deg = line.arrival_ns(len(move.data), now_ns), state.target_deg
     planned_deg, speed_deg_s = state.plan.at(show_s(arrival_ns))
-    planned_way_deg = state.target_deg - planned_deg
+    planned_way_deg = target_deg - planned_deg
     position_deg, own_deg_s = state.place(arrival_ns)
-    way_deg = state.target_deg + state.disturbance.offset_deg - position_deg
+    way_deg = target_deg + state.disturbance.offset_deg - position_deg
     planned_s = s_from_ms(move.duration_ms)
     if not planned_way_deg:
         return planned_s

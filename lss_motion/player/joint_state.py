@@ -1,7 +1,7 @@
-"""State of one joint while a program is played, and the counters of a run.
+"""State of one joint while a program is played.
 
 `JointState` holds what was sent to one servo, the response model after it, and what the readings
-say. Only its methods change it. `Statistics` counts the lateness of moves for the report.
+say. Only its methods change it.
 
 Law: every target that leaves for a servo passes `JointState.send`, which keeps the limits.
 """
@@ -9,9 +9,7 @@ Law: every target that leaves for a servo passes `JointState.send`, which keeps 
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
 from dataclasses import dataclass, field
-from itertools import accumulate
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -27,8 +25,7 @@ from lss_motion.player.estimators import (
 from lss_motion.player.lost_moves import LostMoveDetector
 from lss_motion.player.setpoints import Setpoints, make_setpoints, step_gain_deg
 from lss_motion.player.standing import StandingCorrector
-from lss_motion.program.model import received_us
-from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
+from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference_grid import DURATION_MAX_MS, servo_limits
 from lss_motion.program.stepped import PULSE_S
 from lss_motion.program.streamed import FilterProfile
@@ -36,7 +33,15 @@ from lss_motion.program.verify import make_profile, profiles
 from lss_motion.protocol.constants import status_from
 from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.profile import Profile, profile_lead_s
-from lss_motion.units import MS_PER_S, NS_PER_US, ns_from_s, s_from_ms, s_from_ns, s_from_us
+from lss_motion.units import (
+    MS_PER_S,
+    NS_PER_S,
+    NS_PER_US,
+    US_PER_S,
+    ns_from_s,
+    s_from_ms,
+    s_from_ns,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -148,6 +153,8 @@ class JointState:
     """Number of moves that were not sent since the servo was in doubt."""
     _has_missed: bool = False
     """Whether a move was held back since the doubt began."""
+    _reports: list[set[str]] = field(default_factory=list)
+    """What holds the name of this joint while it is sent targets besides the program's."""
     _spare_deg: float = 0.0
     """What the last jump of a stepped joint left of what it was allowed; less than 0: it was
     rounded up."""
@@ -156,7 +163,7 @@ class JointState:
 
     def place(self, arrival_ns: int) -> tuple[float, float]:
         """Return position and speed of the profile at `arrival_ns`, after all that was sent."""
-        return self.profile.at(s_from_ns(arrival_ns))
+        return self.profile.at(arrival_ns / NS_PER_S)
 
     def predicted_deg(self, now_ns: int) -> float:
         """Return where the horn should be: the profile, late by its lag, less its load."""
@@ -180,7 +187,7 @@ class JointState:
     def stand_at(self, position_deg: float) -> None:
         """Note that the servo stands at `position_deg`, whatever was sent before."""
         self.profile = make_profile(self.joint, position_deg, origin_s=self.origin_s)
-        self.deferred = self.guide_ns = None
+        self._resend_at()
         self.in_doubt = False
         self.setpoints = make_setpoints(self.joint, position_deg, self.limits)
         self.disturbance.stand_at(position_deg)
@@ -218,7 +225,8 @@ class JointState:
 
     def leave_move(self) -> None:
         """Note that no move is under way: the show stands, and goes on from another place."""
-        self.active = self.deferred = self.guide_ns = None
+        self.active = None
+        self._resend_at()
 
     def extend_plan(self, later: PiecewiseProfile, keep_from_s: float) -> None:
         """Continue the plan with `later`; what was before `keep_from_s` is dropped."""
@@ -230,14 +238,14 @@ class JointState:
         The rate is not 1: spot moves take the place of the program's.
         """
         if self.joint.drive == "timed":
-            self.deferred = None
+            self._resend_at()
         elif self.joint.drive == "streamed" and self.guide_ns is None and self.takes_moves:
-            self.guide_ns = guide_ns
+            self._resend_at(guide_ns=guide_ns)
 
     def suspend(self) -> None:
         """Send no move to the servo from now on."""
         self.is_driven = False
-        self.deferred = self.guide_ns = None
+        self._resend_at()
 
     def resume(self) -> None:
         """Send moves to the servo again."""
@@ -251,7 +259,7 @@ class JointState:
         self.held_back += self.resend_ns is not None
         self.in_doubt = True
         self._has_missed |= has_missed or self.resend_ns is not None
-        self.deferred = self.guide_ns = None
+        self._resend_at()
 
     def release(self) -> bool:
         """Send moves to the servo again; return whether any was held back."""
@@ -260,15 +268,31 @@ class JointState:
 
     def defer(self, resend_ns: int, target_deg: float, travel_deg_s: float = math.inf) -> None:
         """Send `target_deg` again at `resend_ns`; a timed joint then travels at `travel_deg_s`."""
-        self.deferred = DeferredTarget(resend_ns, target_deg, travel_deg_s)
+        self._resend_at(deferred=DeferredTarget(resend_ns, target_deg, travel_deg_s))
 
     def end_guiding(self) -> None:
         """Send a streamed joint the program's moves again."""
-        self.guide_ns = None
+        self._resend_at()
 
     def guide_at(self, guide_ns: int) -> None:
         """Send a streamed joint its next guiding target at `guide_ns`."""
-        self.guide_ns = guide_ns
+        self._resend_at(guide_ns=guide_ns)
+
+    def report_resends(self, resending: set[str]) -> None:
+        """Keep the name of this joint in `resending` while it is sent targets of its own."""
+        self._reports.append(resending)
+        self._resend_at(self.deferred, self.guide_ns)
+
+    def _resend_at(
+        self, deferred: DeferredTarget | None = None, guide_ns: int | None = None
+    ) -> None:
+        """Let this be what the joint is sent besides the program's moves, and report it."""
+        self.deferred, self.guide_ns = deferred, guide_ns
+        for resending in self._reports:
+            if deferred is None and guide_ns is None:
+                resending.discard(self.joint.name)
+            else:
+                resending.add(self.joint.name)
 
     def may_retry(self) -> bool:
         """Count that the servo has lost the move under way; false if that was too often.
@@ -301,14 +325,15 @@ class JointState:
     def begun_s(self, line: SerialLine) -> float:
         """Return the show time at which the move under way arrives if it is sent on time."""
         assert self.active is not None
-        return s_from_us(received_us(self.active, line.bus.baud_bps))
+        time_ns = line.times_ns[len(self.active.data)]  # As `received_us`, from the table.
+        return (self.active.due_us + time_ns // NS_PER_US) / US_PER_S
 
     def left_s(self, line: SerialLine, clock: ShowClock, now_ns: int) -> float:
         """Return the run time left to the move under way if it is sent now; 0 if it has no T."""
         move = self.active
         if move is None or move.duration_ms is None:
             return 0.0
-        end_s = self.begun_s(line) + s_from_ms(move.duration_ms)
+        end_s = self.begun_s(line) + move.duration_ms / MS_PER_S
         arrival_ns = line.arrival_ns(len(move.data), now_ns)
         return (end_s - clock.show_s(arrival_ns)) / clock.target_rate
 
@@ -323,7 +348,7 @@ class JointState:
 
         While the joint is not driven or in doubt, nothing is sent.
         """
-        if not self.takes_moves:
+        if self.in_doubt or not self.is_driven:
             self._has_missed |= self.in_doubt
             self.held_back += self.in_doubt
             return
@@ -335,7 +360,7 @@ class JointState:
         duration_ms = self.duration_for(target_wire, arrival_ns, left_s) if is_timed else None
         data = encode_move(servo_id, target_wire, duration_ms)
         if self.guide_ns is not None:
-            self.guide_ns -= line.time_ns(len(data))
+            self.guide_at(self.guide_ns - line.time_ns(len(data)))
         arrival_ns = line.send(data, now_ns)
         self.note_sent(arrival_ns, target_wire, duration_ms)
 
@@ -345,7 +370,7 @@ class JointState:
         A timed joint is sent the nearest place where it can stop. The others have stopped at
         their last target.
         """
-        self.deferred = self.guide_ns = None
+        self._resend_at()
         if self.joint.drive != "timed" or self.active is None:
             return
         arrival_ns = line.arrival_ns(len(self.active.data), now_ns)
@@ -364,25 +389,25 @@ class JointState:
         a target, it is deferred until the servo has come that far, or the joint is guided to it.
         """
         corrected = target_deg + self.disturbance.offset_deg
-        wire = nearest_wire(corrected, self.limits)
-        low_deg, high_deg = self._reach(arrival_ns)
-        allowed = nearest_wire(min(max(corrected, low_deg), high_deg), self.limits)
-        is_cut = allowed != wire
-        if isinstance(self.profile, FilterProfile):
+        wire = allowed = nearest_wire(corrected, self.limits)
+        if self.joint.drive != "timed":
+            low_deg, high_deg = self._reach(arrival_ns)
+            allowed = nearest_wire(min(max(corrected, low_deg), high_deg), self.limits)
+        if allowed == wire:
+            if self.deferred is not None or self.guide_ns is not None:
+                self._resend_at()
+        elif isinstance(self.profile, FilterProfile):
             next_s = self.profile.receive_s(self.profile.acts_on(s_from_ns(arrival_ns)) + 1)
-            self.guide_ns = ns_from_s(next_s) if is_cut else None
+            self.guide_at(ns_from_s(next_s))
         else:
-            resend_ns = arrival_ns + ns_from_s(PULSE_S)
-            self.deferred = DeferredTarget(resend_ns, target_deg) if is_cut else None
+            self.defer(arrival_ns + ns_from_s(PULSE_S), target_deg)
         return allowed
 
     def _reach(self, arrival_ns: int) -> tuple[float, float]:
-        """Return the least and largest target that the limits allow at `arrival_ns`."""
+        """Return the least and largest target that the limits allow at `arrival_ns`; not timed."""
         arrival_s = s_from_ns(arrival_ns)
         if self.setpoints is not None:
             return self.setpoints.allowed(arrival_s)
-        if self.joint.drive == "timed":
-            return self.limits.position_min_deg, self.limits.position_max_deg
         position_deg, _ = self.profile.at(arrival_s)
         reach_deg = max(self._jump_deg(arrival_ns), 0.0)
         return position_deg - reach_deg, position_deg + reach_deg
@@ -409,8 +434,8 @@ class JointState:
 
     def note_sent(self, arrival_ns: int, target_wire: int, duration_ms: int | None) -> None:
         """Note that the servo receives `D target [T duration]` at `arrival_ns`."""
-        arrival_s = s_from_ns(arrival_ns)
-        duration_s = None if duration_ms is None else s_from_ms(duration_ms)
+        arrival_s = arrival_ns / NS_PER_S
+        duration_s = None if duration_ms is None else duration_ms / MS_PER_S
         target_deg = target_wire / self.limits.wire_per_deg
         if self.lost_moves is not None and isinstance(self.profile, Profile):
             self.lost_moves.commanded(self.profile.copy(), arrival_s, target_deg, duration_s)
@@ -444,9 +469,9 @@ class JointState:
         self.health_count += 1
 
     @property
-    def target_due_s(self) -> float:
+    def target_due_ns(self) -> float:
         """Instant from which the servo must be polled for its target, or infinite."""
-        return math.inf if self.lost_moves is None else self.lost_moves.target_due_s
+        return math.inf if self.lost_moves is None else self.lost_moves.target_due_ns
 
     def note_target_query(self) -> None:
         """Note that the servo is polled for its target."""
@@ -518,10 +543,14 @@ class JointState:
         """Return the largest speed of the profile of late, 0 if it rests."""
         return max([abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S])
 
+    def may_stand(self, now_s: float) -> bool:
+        """Return whether the last move is so long ago that the servo may be at rest."""
+        last_ns = self.last_arrival_ns
+        return last_ns is None or now_s - (last_ns / NS_PER_S + self.lead_s) >= STILL_S
+
     def _is_settled(self, read_s: float) -> bool:
         """Return whether the servo was at rest at `read_s` and for a while before."""
-        since_s = self.last_arrival_ns and s_from_ns(self.last_arrival_ns) + self.lead_s
-        if since_s is not None and read_s - since_s < STILL_S:
+        if not self.may_stand(read_s):
             return False
         course_s = read_s - self.lead_s - max(self.disturbance.horn.lag_s, 0.0)
         now_deg, speed_deg_s = self.profile.at(course_s)
@@ -531,8 +560,9 @@ class JointState:
     def aim(self, duration_s: float, now_ns: int) -> None:
         """Set the correction for the move under way, which has `duration_s` to travel."""
         if self.setpoints is None:
-            way_deg = self.target_deg + self.disturbance.offset_deg - self.place(now_ns)[0]
-            self._correct(self.target_deg, self.swing.way_of(way_deg), duration_s)
+            target_deg = self.target_deg
+            way_deg = target_deg + self.disturbance.offset_deg - self.place(now_ns)[0]
+            self._correct(target_deg, self.swing.way_of(way_deg), duration_s)
 
     def _correct(self, target_deg: float, way: float, duration_s: float) -> None:
         """Move the correction towards what is known of load and play, as far as that is sure."""
@@ -631,64 +661,3 @@ def make_joint_states(
 CORRECTION_RATIO: Final = 0.25
 """Share of the acceleration of a joint in EM0 that one reading may use; the plan needs most of it.
 Chosen: a wrong reading that was believed took a joint beyond its limit."""
-
-
-MISSED_NS: Final = ns_from_s(LATEST_ARRIVAL_S)
-"""A move that leaves later than this counts as missed: the move before it had begun to brake."""
-LATEST_COMMANDS: Final = 100
-BIN_BITS: Final = 7
-"""A bin is narrower than 2^-6 of its lateness, so percentiles are right to 1.6 %. Chosen."""
-
-
-@dataclass(slots=True)
-class Statistics:
-    """Lateness of every move, in ns after the instant at which it was due to leave.
-
-    Lateness is counted in bins, so the memory that this needs does not grow with the run.
-    """
-
-    latest_ns: deque[int] = field(default_factory=lambda: deque(maxlen=LATEST_COMMANDS))
-    """Lateness of the last moves, for the display."""
-    missed: int = 0
-    max_ns: int = 0
-    _bins: Counter[int] = field(default_factory=Counter, repr=False)
-    """Number of moves by the upper end of their bin in ns."""
-
-    def left_out(self) -> None:
-        """Count a move that was not sent, since the next one of its joint was due as well."""
-        self.missed += 1
-
-    def sent(self, late_ns: int) -> None:
-        """Count a move that left `late_ns` late."""
-        late_ns = max(0, late_ns)
-        self.latest_ns.append(late_ns)
-        self.missed += late_ns > MISSED_NS
-        self.max_ns = max(self.max_ns, late_ns)
-        shift = max(0, late_ns.bit_length() - BIN_BITS)
-        self._bins[late_ns >> shift << shift | ((1 << shift) - 1)] += 1
-
-    def histogram_us(self) -> list[tuple[int, int]]:
-        """Return `(µs, moves)`: moves later than the entry before, by at most so many µs."""
-        counts: Counter[int] = Counter()
-        for end_ns, count in self._bins.items():
-            counts[1 << max(3, (end_ns // NS_PER_US).bit_length())] += count
-        return sorted(counts.items())
-
-    def timing(self) -> dict[str, int]:
-        """Return the `timing` object of the report."""
-        ends_ns = sorted(self._bins)
-        sums = list(accumulate(self._bins[end_ns] for end_ns in ends_ns))
-        count = sums[-1] if sums else 0
-
-        def at_ratio(ratio: float) -> int:
-            rank = int(ratio * count)
-            above = (end_ns for end_ns, so_far in zip(ends_ns, sums, strict=True) if so_far > rank)
-            return min(next(above, 0), self.max_ns)
-
-        return {
-            "commands": count,
-            "missed": self.missed,
-            "late_p50_us": at_ratio(0.5) // NS_PER_US,
-            "late_p99_us": at_ratio(0.99) // NS_PER_US,
-            "late_max_us": self.max_ns // NS_PER_US,
-        }

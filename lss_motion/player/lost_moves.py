@@ -13,6 +13,8 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.units import ns_from_s
+
 if TYPE_CHECKING:
     from lss_motion.robot.profile import Profile
 
@@ -65,11 +67,31 @@ class LastMove:
 
 @dataclass(slots=True)
 class Alternative:
-    """The profile of a servo that has lost one of the last moves."""
+    """The profile of a servo that has lost one of the last moves.
 
-    profile: Profile
+    Most are dropped before a reading is compared with them, so moves are applied only then.
+    """
+
+    before: Profile
+    """Its profile before `later`; not changed here."""
     since_s: float | None = None
     """Instant since which all readings have matched this profile."""
+    later: list[tuple[float, float, float | None]] = field(default_factory=list)
+    """Moves that it has received since: arrival, target, duration."""
+
+    @property
+    def target_deg(self) -> float:
+        return self.later[-1][1] if self.later else self.before.target_deg
+
+    @property
+    def profile(self) -> Profile:
+        """The profile after all moves that it has received."""
+        if self.later:
+            self.before = self.before.copy()
+            for arrival_s, target_deg, duration_s in self.later:
+                self.before.retarget(arrival_s, target_deg, duration_s)
+            self.later.clear()
+        return self.before
 
 
 @dataclass(slots=True)
@@ -90,42 +112,51 @@ class LostMoveDetector:
     """How often in a row the servo reported another target than the one that was sent."""
     is_doubtful: bool = False
     """Whether the last reading matched another profile: then nothing else is learnt from it."""
+    target_due_ns: float = math.inf
+    """Instant from which the servo must be polled for its target; infinite: it need not be."""
 
     def commanded(
         self, before: Profile, arrival_s: float, target_deg: float, duration_s: float | None
     ) -> None:
         """Note a new move; `before` is a copy of the profile before it."""
         for other in self.alternatives:
-            other.profile.retarget(arrival_s, target_deg, duration_s)
+            other.later.append((arrival_s, target_deg, duration_s))
             other.since_s = None
         self.alternatives = [*self.alternatives[-(OTHERS_MAX - 1) :], Alternative(before)]
         is_conclusive = (
             self._differs(before.target_deg, target_deg) and self.mismatches < MISMATCHES_MAX
         )
         queries = QUERIES_MAX if is_conclusive else 0
-        self.last = LastMove(before.copy(), arrival_s, target_deg, duration_s, queries)
+        self.last = LastMove(before, arrival_s, target_deg, duration_s, queries)
+        self._note_due()
 
     def take_over(self, earlier: LostMoveDetector) -> None:
         """Take over whether the servo reports its targets as they were sent."""
         self.mismatches, self.report_s = earlier.mismatches, earlier.report_s
         self.prompt = earlier.prompt
+        self._note_due()
 
-    @property
-    def target_due_s(self) -> float:
-        """Instant from which the servo must be polled for its target; infinite: it need not be."""
-        last = self.last
-        return self._reported_s(last) if last is not None and last.queries_left > 0 else math.inf
+    def _note_due(self) -> None:
+        last, self.target_due_ns = self.last, math.inf
+        if last is not None and last.queries_left > 0:
+            self.target_due_ns = ns_from_s(self._reported_s(last))
 
     def count_target_query(self) -> None:
         """Note that the servo is polled for its target now."""
         assert self.last is not None
         self.last.queries_left -= 1
+        self._note_due()
 
     def target_reported(self, at_s: float, target_deg: float) -> Profile | None:
         """Use the target that a servo reported at `at_s`; return as `judge` does.
 
         A target that was never sent must be reported twice, since the answer may be damaged.
         """
+        course = self._judge_target(at_s, target_deg)
+        self._note_due()
+        return course
+
+    def _judge_target(self, at_s: float, target_deg: float) -> Profile | None:
         last = self.last
         if last is None or at_s < self._reported_s(last):
             return None
@@ -135,7 +166,7 @@ class LostMoveDetector:
             else:
                 self.prompt += 1
             self.mismatches, last.queries_left = 0, 0
-            self.alternatives = [o for o in self.alternatives if not self._parts(o.profile)]
+            self.alternatives = [o for o in self.alternatives if not self._parts(o)]
             return None
         is_before = not self._differs(target_deg, last.before.target_deg)
         if is_before and self.prompt < PROMPT_LEAST and not last.is_rechecked:
@@ -148,15 +179,17 @@ class LostMoveDetector:
             if last.unknown_deg is None or self._differs(target_deg, last.unknown_deg):
                 last.unknown_deg = target_deg
                 return None
+            course = course.copy()
             course.retarget(last.arrival_s, target_deg, last.duration_s)
         self.alternatives, self.last = [], None
         return course
 
     def _reported_s(self, last: LastMove) -> float:
-        least_s = DEAD_MAX_S if last.is_rechecked else self.report_s
-        return last.arrival_s + max(REPORTED_LOOPS * self.loop_s, least_s)
+        after_s, least_s = REPORTED_LOOPS * self.loop_s, self.report_s
+        least_s = DEAD_MAX_S if last.is_rechecked else least_s
+        return last.arrival_s + (after_s if after_s > least_s else least_s)
 
-    def _parts(self, other: Profile) -> bool:
+    def _parts(self, other: Alternative) -> bool:
         """Return whether `other` has another target than the last one that was sent."""
         return self.last is None or self._differs(other.target_deg, self.last.target_deg)
 
@@ -191,4 +224,4 @@ class LostMoveDetector:
         if at_s - likely.since_s < SURE_S:
             return None
         self.alternatives = []
-        return likely.profile
+        return likely.profile.copy()  # `last` may share it.

@@ -59,8 +59,8 @@ COUNT_IN_NS: Final = 200 * NS_PER_MS
 """Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
 (13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
 STALE_NS: Final = NS_PER_S
-"""After so long settings are set and read again before anything moves. Chosen: longer than it takes
-with servos that all answer; a servo that restarts is silent for longer."""
+"""After so long settings are set and read again before anything moves. Chosen: longer than that
+takes with servos that all answer; one that restarts is silent for longer."""
 RATE_LEAST: Final = 0.01
 """A lower rate is a pause: a minute of show would take more than an hour."""
 PLAYING: Final = (Phase.SHOW, Phase.STANDING)
@@ -123,8 +123,7 @@ class Player:
         """Whether the settings are set for the second time, since the first time took long."""
         self._has_set = False
         """Whether orders may have changed settings of the servos."""
-        self._has_moved, self._stops = False, 0
-        self.idle_ns = IDLE_NS
+        self._has_moved, self._stops, self.idle_ns = False, 0, IDLE_NS
         self._ended_ns: int | None = None
         """When the show had ended but for its goal tolerances."""
         self._seek_s: float | None = None
@@ -146,7 +145,7 @@ class Player:
             self._note_stall(leaves_ns)
         while self._step(leaves_ns):
             pass
-        return {name: data for name, line in self.lines.items() if (data := line.take())}
+        return {name: line.take() for name, line in self.lines.items() if line.out}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         """Take bytes of a bus. No bytes of any kind raise."""
@@ -162,10 +161,11 @@ class Player:
         """Return when `data_to_send` must be called at the latest; None when the run is over."""
         wakeup_ns = None
         if self.phase is not Phase.DONE:
-            idle_ns = self._now_ns + self.idle_ns
-            due_ns = min([w for w in self._wakeups_ns() if w is not None], default=idle_ns)
-            wakeup_ns = min(max(due_ns, self._now_ns), idle_ns)
-        self._stalls.expect(wakeup_ns)
+            wakeup_ns = self._now_ns + self.idle_ns
+            for due_ns in self._wakeups_ns():
+                if due_ns is not None and due_ns < wakeup_ns:
+                    wakeup_ns = due_ns if due_ns > self._now_ns else self._now_ns
+        self._stalls.wakeup_ns = wakeup_ns
         return wakeup_ns
 
     def reads_ns(self, bus: str) -> int | None:
@@ -175,7 +175,8 @@ class Player:
 
     def is_due(self, leaves_ns: int) -> bool:
         """Return whether a move must leave by then, before answers are used, which takes time."""
-        return self._streamer is not None and self._streamer.is_due(leaves_ns)
+        due_ns = None if self._streamer is None else self._streamer.due_ns()
+        return due_ns is not None and due_ns <= leaves_ns
 
     def next_event(self) -> Event | None:
         return self._events.popleft() if self._events else None
@@ -188,21 +189,21 @@ class Player:
         return self._session.safe_bytes(is_limp=is_limp)
 
     def _wakeups_ns(self) -> list[int | None]:
-        wakeups_ns: list[int | None] = []
-        if self.phase in DRIVING and self._dialogue is None:
-            wakeups_ns.append(self._faults.escalation.next_wakeup_ns())
-        if self.phase is Phase.RECOVER and self._faults.recovery is not None:
-            wakeups_ns.append(self._faults.recovery.give_up_ns)
+        while self._wakes_ns and self._wakes_ns[0] <= self._now_ns:
+            heapq.heappop(self._wakes_ns)
+        wakeups_ns: list[int | None] = [*self._wakes_ns[:1]]
         if self._dialogue is not None:
             wakeups_ns.append(self._dialogue.next_wakeup_ns())
         elif self._streamer is not None:
             wakeups_ns.append(self._streamer.next_wakeup_ns(self._now_ns))
+        if self.phase in DRIVING and self._dialogue is None:
+            wakeups_ns += self._faults.escalation.wakeups_ns()
         if self.phase in PLAYING:
-            wakeups_ns.append(self._session.agenda.wakeup_ns(self.show, self.lines, self._now_ns))
-            wakeups_ns.append(self._goal_ns)
-        while self._wakes_ns and self._wakes_ns[0] <= self._now_ns:
-            heapq.heappop(self._wakes_ns)
-        return wakeups_ns + self._wakes_ns[:1]
+            agenda_ns = self._session.agenda.wakeup_ns(self.show, self.lines, self._now_ns)
+            wakeups_ns += (agenda_ns, self._goal_ns)
+        elif self.phase is Phase.RECOVER and self._faults.recovery is not None:
+            wakeups_ns.append(self._faults.recovery.give_up_ns)
+        return wakeups_ns
 
     def _note_stall(self, now_ns: int) -> None:
         """Brake if a move was due long ago: this program was held up; then recover or end."""
@@ -441,9 +442,8 @@ class Player:
         if self.phase in PLAYING:
             self._events += self._session.agenda.advance(self._streamer, self.lines, now_ns)
         self._streamer.advance(now_ns)
-        if (back_at_s := self._streamer.take_way_back()) is not None:
-            self._session.agenda.go_back(back_at_s)
-        self._events += self._streamer.waiting.take_notices()
+        if self._streamer.has_waited:
+            self._events += self._session.note_wait(self._streamer)
 
     def _judge_faults(self, now_ns: int) -> bool:
         """Act on the faults that the streamer has found; return whether the phase changed."""
@@ -536,7 +536,8 @@ class Player:
 
     def _report_faults(self) -> None:
         self._events += self._faults.take_events()
-        self._events += map(Warned, self.unasked.advance(self._now_ns))
+        if self._now_ns >= self.unasked.look_ns:
+            self._events += map(Warned, self.unasked.advance(self._now_ns))
 
     def _connected(self, preflight: Preflight) -> None:
         try:
@@ -646,9 +647,8 @@ class Player:
         """Set the show clock to the rate of the person, as far as the faults allow it."""
         if self._streamer is None or self.phase not in (Phase.APPROACH, *PLAYING):
             return
-        rate = self._faults.escalation.rate_max
-        if self.phase is Phase.SHOW:
-            rate = min(rate, self._rate)
+        own_rate = self._rate if self.phase is Phase.SHOW else 1.0
+        rate = min(self._faults.escalation.rate_max, own_rate)
         if rate != self._streamer.rate_wanted:
             self._streamer.set_rate(rate, now_ns)
 

@@ -7,11 +7,13 @@ line allows. Positions and targets go to the joint's own `JointState`, health to
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.cues import SensorWatch
+from lss_motion.player.due_moves import earliest_after
 from lss_motion.player.health import HealthMonitor
 from lss_motion.player.query_choice import (
     BY_NEED,
@@ -95,6 +97,7 @@ class PollScheduler:
         self._pace = pace
         self._waiting = waiting
         self._probes = probes
+        self._probe_words = {name: {one.keyword for one in own} for name, own in probes.items()}
         self.watch: SettingsWatch = SettingsWatch(probes) if known is None else known.watch
         self.health: HealthMonitor = HealthMonitor() if known is None else known.health
         self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
@@ -144,10 +147,11 @@ class PollScheduler:
         return any(self._is_starved(bus, now_ns) for bus, own in self._by_bus.items() if own)
 
     def _is_starved(self, bus: str, now_ns: int) -> bool:
+        if now_ns <= self._trackers[bus].starves_ns:
+            return False
         next_ns = self._next_ns[bus]
         # A rest does not count: on a host that is always late, one follows the other.
-        is_due = next_ns is None or next_ns <= max(now_ns, self._rest_until_ns)
-        return is_due and self._trackers[bus].is_starved(now_ns)
+        return next_ns is None or next_ns <= max(now_ns, self._rest_until_ns)
 
     def poll(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Send queries on every bus while its line is free by `quiet_until_ns`; None: for ever."""
@@ -165,7 +169,8 @@ class PollScheduler:
                 continue
             while self._poll_one(bus, now_ns, quiet_until_ns):
                 pass
-        self.health.advance(now_ns)
+        if self.health.awaited:
+            self.health.advance(now_ns)
 
     def poll_behind(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Poll a servo of each bus that is due soon, behind the moves that leave now.
@@ -184,7 +189,7 @@ class PollScheduler:
 
     def _visit_behind(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> None:
         """Send what the visit that has begun asks, as far as the line has room."""
-        backlog_ns = max(BEHIND_MOVE_NS, self._lines[bus].time_ns(BACKLOG_BYTES))
+        backlog_ns = max(BEHIND_MOVE_NS, self._lines[bus].times_ns[BACKLOG_BYTES])
         while (found := self._choice.next_of_visit(bus, now_ns)) is not None:
             if not self._send_found(bus, found, now_ns, quiet_until_ns, backlog_ns):
                 self._choice.end_visit(bus)
@@ -198,14 +203,13 @@ class PollScheduler:
             self._rest_until_ns = now_ns + min(REST_RATIO * late_ns, REST_MAX_NS)
 
     def _poll_one(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> bool:
-        tracker = self._trackers[bus]
         self._next_ns[bus] = None
-        question = self._waiting.query(bus, now_ns)
-        if question is not None and tracker.quiet_until_ns(question.servo_id) <= now_ns:
+        question = self._waiting.query(bus, now_ns) if self._waiting.next_s < math.inf else None
+        if question and self._trackers[bus].quiet_until_ns(question.servo_id) <= now_ns:
             if self._send_if_allowed(bus, question, len(encode(question)), now_ns, quiet_until_ns):
                 self._waiting.note_query_sent(now_ns)
             return False
-        if self._poll_watched(bus, now_ns, quiet_until_ns):
+        if self.watched.sensors and self._poll_watched(bus, now_ns, quiet_until_ns):
             return True
         found = self._choice.next_query(bus, now_ns)
         if found is None:
@@ -224,7 +228,7 @@ class PollScheduler:
         """Send a query that was chosen, if line and servo allow it now."""
         state, keyword = found
         question, size_bytes = query_of(state.joint.servo_id, keyword)
-        is_urgent = keyword == self.watch.urgent(state.joint.name)
+        is_urgent = bool(self.watch.doubted) and keyword == self.watch.urgent(state.joint.name)
         if not self._send_if_allowed(
             bus,
             question,
@@ -264,11 +268,13 @@ class PollScheduler:
 
     def look_ahead(self, now_ns: int, quiet_until_ns: int | None) -> bool:
         """Note when the next queries are due after moves have left; return whether any is now."""
-        is_due = bool(self._waiting.wakeups_ns())
-        is_due = is_due or any(self.watched.query(bus, now_ns) for bus in self._trackers)
+        is_due = self._waiting.next_s < math.inf and bool(self._waiting.wakeups_ns())
+        if self.watched.sensors and not is_due:
+            is_due = any(self.watched.query(bus, now_ns) for bus in self._trackers)
         for bus, tracker in self._trackers.items():
             is_own_due = self._choice.is_due(bus, now_ns)
-            room_ns = self._room_ns(bus, QUERY_LEAST_BYTES, now_ns)
+            line = self._lines[bus]
+            room_ns = line.arrival_ns(QUERY_LEAST_BYTES, now_ns) - line.times_ns[BACKLOG_BYTES]
             if is_own_due and room_ns > now_ns:
                 self._next_ns[bus] = max(room_ns, tracker.not_before_ns())
                 is_own_due = False
@@ -277,14 +283,6 @@ class PollScheduler:
                 is_own_due = is_own_due and self._next_ns[bus] is None
             is_due = is_due or is_own_due
         return is_due
-
-    def _room_ns(
-        self, bus: str, size_bytes: int, now_ns: int, backlog_ns: int | None = None
-    ) -> int:
-        """Return from when on a query keeps the line busy for no more than `BACKLOG_BYTES`."""
-        line = self._lines[bus]
-        most_ns = line.time_ns(BACKLOG_BYTES) if backlog_ns is None else backlog_ns
-        return line.arrival_ns(size_bytes, now_ns) - most_ns
 
     def _send_if_allowed(
         self,
@@ -297,16 +295,22 @@ class PollScheduler:
         is_urgent: bool = False,
         backlog_ns: int | None = None,
     ) -> bool:
-        """Send a query if line and servo allow it now; otherwise note when to try again."""
+        """Send a query if line and servo allow it now; otherwise note when to try again.
+
+        With it, what is queued keeps the line busy for `backlog_ns` at most; None: for the time of
+        `BACKLOG_BYTES`.
+        """
         tracker, line = self._trackers[bus], self._lines[bus]
         earliest_ns = tracker.earliest_ns(question.servo_id, size_bytes, is_urgent=is_urgent)
-        if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
+        if earliest_ns is None or (earliest_ns > now_ns and earliest_ns > line.free_ns):
             self._next_ns[bus] = tracker.free_ns() if earliest_ns is None else earliest_ns
             return False
-        if (room_ns := self._room_ns(bus, size_bytes, now_ns, backlog_ns)) > now_ns:
+        arrival_ns = line.arrival_ns(size_bytes, now_ns)
+        room_ns = arrival_ns - (backlog_ns or line.times_ns[BACKLOG_BYTES])
+        if room_ns > now_ns:
             self._next_ns[bus] = room_ns
             return False
-        if quiet_until_ns is not None and line.arrival_ns(size_bytes, now_ns) > quiet_until_ns:
+        if quiet_until_ns is not None and arrival_ns > quiet_until_ns:
             return False
         tracker.send(question, now_ns, is_patient=not self._choice.is_behind(bus, now_ns))
         return True
@@ -426,7 +430,7 @@ class PollScheduler:
         A servo that has not restarted gets the moves that were held back.
         """
         name, value = state.joint.name, reply.value
-        if reply.keyword not in self.watch.keywords(name):
+        if reply.keyword not in self._probe_words.get(name, ()):
             return False
         number = value if isinstance(value, int) else None
         fault = self.watch.take(state, reply.keyword, number)
@@ -442,17 +446,19 @@ class PollScheduler:
         if state.in_doubt and may_move and state.release():
             self.to_resend[state.joint.name] = state
 
-    def wakeups_ns(self, now_ns: int) -> list[int]:
-        """Return when something may be due, besides an answer that comes in."""
-        wakeups_ns = [*self._waiting.wakeups_ns(), *self.health.wakeups_ns()]
-        wakeups_ns += self.watched.wakeups_ns()
+    def next_wakeup_ns(self, now_ns: int) -> int | None:
+        """Return when something may be due after `now_ns`, besides an answer that comes in."""
+        wakeups_ns: list[int | None] = []
+        if self.health.awaited:
+            wakeups_ns += self.health.wakeups_ns()
+        if self._waiting.next_s < math.inf:
+            wakeups_ns += self._waiting.wakeups_ns()
+        if self.watched.sensors:
+            wakeups_ns += self.watched.wakeups_ns()
         for bus, tracker in self._trackers.items():
-            if (give_up_ns := tracker.give_up_ns) is not None:
-                wakeups_ns.append(give_up_ns)
-            if (next_ns := self._next_ns[bus]) is not None:
-                wakeups_ns.append(next_ns)
-        self._wakeup_ns = min([w for w in wakeups_ns if w > now_ns], default=None)
-        return wakeups_ns
+            wakeups_ns += (tracker.give_up_ns, self._next_ns[bus])
+        self._wakeup_ns = earliest_after(now_ns, wakeups_ns)
+        return self._wakeup_ns
 
     def _take_position(
         self,

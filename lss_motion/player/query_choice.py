@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
-from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -109,9 +109,11 @@ RESTED_NS: Final = 2 * NS_PER_S
 def has_strayed(state: JointState) -> bool:
     """Return whether the next readings of a joint are worth more than usual."""
     load = state.disturbance
-    if abs(load.error_deg) > STRAYED_DEG or state.in_doubt or state.standing.is_undecided:
+    if state.in_doubt or not -STRAYED_DEG <= load.error_deg <= STRAYED_DEG:
         return True
-    if abs(load.offset_deg - load.estimate_deg) > UNCORRECTED_DEG:
+    if not -UNCORRECTED_DEG <= load.offset_deg - load.estimate_deg <= UNCORRECTED_DEG:
+        return True
+    if state.standing.is_undecided:
         return True
     return state.lost_moves is not None and state.lost_moves.is_doubtful
 
@@ -120,13 +122,6 @@ def is_led(state: JointState) -> bool:
     """Return whether the last target found a streamed joint in motion."""
     at_ns = state.last_arrival_ns
     return state.setpoints is not None and at_ns is not None and state.place(at_ns)[1] != 0.0
-
-
-def _target_ns(state: JointState) -> float:
-    """Return when a servo must be polled for its target; infinite: it need not be."""
-    lost_moves = state.lost_moves
-    target_s = math.inf if lost_moves is None else lost_moves.target_due_s
-    return target_s if target_s == math.inf else ns_from_s(target_s)
 
 
 class Polled(Struct, frozen=True):
@@ -156,13 +151,14 @@ class QueryChoice(ABC):
         """By joint, when it was last queried for its angle here."""
         self._healths_ns: dict[str, int] = {}
         """By joint, when its servo was last asked about its health, with no probe."""
+        self._rested_ns: int | None = None
+        """Period of queries to a servo that rests in its place; None: as of any other."""
         self._late_counts: dict[str, int] = {}
+        names = [state.joint.name for states in polled.by_bus.values() for state in states]
+        self._probes = {name: self._watch.keywords(name) for name in names}
+        """By joint, the keywords of its probes."""
         self._health_periods_ns = {
-            state.joint.name: HEALTH_NS // 2
-            if self._watch.keywords(state.joint.name)
-            else HEALTH_NS
-            for states in polled.by_bus.values()
-            for state in states
+            name: HEALTH_NS // 2 if self._probes[name] else HEALTH_NS for name in names
         }
         """By joint, the period of the queries about health; probes are every other one."""
 
@@ -206,11 +202,13 @@ class QueryChoice(ABC):
 
     def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
         """Note that the query which `next_query` returned was sent."""
-        self._watch.note_query(state.joint.name, keyword, now_ns)
+        name = state.joint.name
+        if keyword in self._probes[name]:
+            self._watch.note_query(name, keyword, now_ns)
         self._health_wait[bus] += 1
-        self._visits_ns[state.joint.name] = now_ns
+        self._visits_ns[name] = now_ns
         if keyword == PLACE_KEYWORD:
-            self._places_ns[state.joint.name] = now_ns
+            self._places_ns[name] = now_ns
         elif keyword == TARGET_KEYWORD:
             state.note_target_query()
         else:
@@ -233,7 +231,7 @@ class QueryChoice(ABC):
 
     def note_health_sent(self, state: JointState, keyword: str, now_ns: int) -> None:
         """Note a query about health, or a probe, to the servo of a joint."""
-        if keyword not in self._watch.keywords(state.joint.name):
+        if keyword not in self._probes[state.joint.name]:
             self._healths_ns[state.joint.name] = now_ns
         # What went along early makes the next one no earlier.
         planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))
@@ -254,7 +252,7 @@ class QueryChoice(ABC):
         return words[count % len(words)]
 
     def _health_round(self, state: JointState) -> tuple[str, ...]:
-        return health_round(state.joint.model.family, self._watch.keywords(state.joint.name))
+        return health_round(state.joint.model.family, self._probes[state.joint.name])
 
     def _health_word(self, state: JointState) -> str:
         words = self._health_round(state)
@@ -265,8 +263,8 @@ class QueryChoice(ABC):
         return 0 if state.health_ns is None else state.health_ns + self._health_period_ns(state)
 
     def _health_period_ns(self, state: JointState) -> int:
-        if (resting_ns := self._resting_ns(state)) is not None:
-            return resting_ns
+        if self._rested_ns is not None and (rested_ns := self._resting_ns(state)) is not None:
+            return rested_ns
         return self._health_periods_ns[state.joint.name]
 
     def _resting_ns(self, state: JointState) -> int | None:  # noqa: ARG002
@@ -278,35 +276,28 @@ class QueryChoice(ABC):
 
         A servo with an overdue answer gets a query for which this answer cannot be taken.
         """
-        tracker, servo_id = self._trackers[bus], state.joint.servo_id
-        if (urgent := self._watch.urgent(state.joint.name)) is not None:
-            return urgent
+        tracker, servo_id, name = self._trackers[bus], state.joint.servo_id, state.joint.name
+        if name in self._watch.doubted:
+            return self._watch.urgent(name)
         if tracker.is_overdue(servo_id, PLACE_KEYWORD):
             return self.fresh(bus, state)
-        if (probe := self._watch.read_back(state.joint.name, now_ns)) is not None:
+        if self._probes[name] and (probe := self._watch.read_back(name, now_ns)) is not None:
             return probe
-        is_free = not tracker.is_overdue(servo_id, TARGET_KEYWORD)
-        if (
-            is_free
-            and (_target_ns(state) <= now_ns)
-            and not tracker.awaits(servo_id, TARGET_KEYWORD)
-        ):
-            return TARGET_KEYWORD
-        return None
+        is_due = state.target_due_ns <= now_ns and not tracker.is_overdue(servo_id, TARGET_KEYWORD)
+        return TARGET_KEYWORD if is_due and not tracker.awaits(servo_id, TARGET_KEYWORD) else None
 
     def _merit(self, state: JointState, now_ns: int) -> tuple[int, float]:
         """Return how urgent a joint is: the age of its last query, by its speed and error."""
-        visit_ns = self._visits_ns.get(state.joint.name)
-        if visit_ns is None:
+        name, error_deg = state.joint.name, state.disturbance.error_deg
+        if name not in self._visits_ns:
             return DOUBT_NS + now_ns, 0.0
-        _, speed_deg_s = state.profile.at(s_from_ns(now_ns))
-        weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
-        weight += ERROR_WEIGHT_PER_DEG * abs(state.disturbance.error_deg)
-        age_ns = now_ns - visit_ns
+        age_ns, speed_deg_s = now_ns - self._visits_ns[name], state.place(now_ns)[1]
+        weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * (speed_deg_s if speed_deg_s > 0.0 else -speed_deg_s)
+        weight += ERROR_WEIGHT_PER_DEG * (error_deg if error_deg > 0.0 else -error_deg)
         overdue_ns = age_ns if age_ns > LONGEST_NS else 0
-        if state.joint.name in self._watch.doubted or state.joint.name in self._health.unconfirmed:
+        if name in self._watch.doubted or name in self._health.unconfirmed:
             overdue_ns = DOUBT_NS + age_ns
-        return overdue_ns, age_ns * weight + VISIT_NS * (_target_ns(state) <= now_ns)
+        return overdue_ns, age_ns * weight + VISIT_NS * (state.target_due_ns <= now_ns)
 
     def _can_be_polled(self, bus: str, state: JointState, now_ns: int) -> bool:
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
@@ -327,6 +318,8 @@ class _Round:
     states: Sequence[JointState]
     dues_ns: list[float]
     """By joint; infinite while a query to its servo is in flight."""
+    targets_ns: list[float]
+    """By joint, when its servo must report its target; infinite: it need not, or is asked now."""
     stale: set[int]
     """Joints whose instant must be computed anew."""
     arrivals_ns: list[int | None]
@@ -343,7 +336,14 @@ class _Round:
     def of(cls, states: Sequence[JointState]) -> _Round:
         """Return a round in which every joint is due at once."""
         count, first_ns = len(states), 0.0 if states else math.inf
-        return cls(states, [0.0] * count, set(range(count)), [None] * count, first_ns)
+        return cls(
+            states=states,
+            dues_ns=[0.0] * count,
+            targets_ns=[math.inf] * count,
+            stale=set(range(count)),
+            arrivals_ns=[None] * count,
+            first_ns=first_ns,
+        )
 
 
 class ByNeed(QueryChoice):
@@ -372,18 +372,17 @@ class ByNeed(QueryChoice):
         every = self._rounds[bus]
         if state is None:
             every.stale.update(range(len(every.states)))
-        elif (index := self._indices.get(state.joint.name)) is not None:
-            every.stale.add(index)
+        elif state.joint.name in self._indices:
+            every.stale.add(self._indices[state.joint.name])
 
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
         """Return the next query of the visit to a servo; else of one to the most urgent servo."""
-        if (found := self.next_of_visit(bus, now_ns)) is not None:
+        every = self._rounds[bus]
+        if every.words and (found := self.next_of_visit(bus, now_ns)) is not None:
             return found
         if not self.is_due(bus, now_ns):
             return None
-        every = self._rounds[bus]
-        due = [index for index, due_ns in enumerate(every.dues_ns) if due_ns <= now_ns]
-        self._visit(bus, due, now_ns)
+        self._visit(bus, now_ns)
         return every.states[every.visited], every.words[-1]
 
     def next_of_visit(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
@@ -403,31 +402,37 @@ class ByNeed(QueryChoice):
             return False
         if every.words:
             return True
-        due = [index for index, due_ns in enumerate(every.dues_ns) if due_ns <= now_ns]
-        due = due or [
+        if every.first_ns <= now_ns:
+            self._visit(bus, now_ns)
+            return True
+        soon = [
             index
             for index, due_ns in enumerate(every.dues_ns)
             if due_ns <= soon_ns
-            and _target_ns(every.states[index]) == math.inf
+            and every.targets_ns[index] == math.inf
             and self._quiet_until_ns(bus, every.states[index]) <= now_ns
         ]
-        if due:
-            self._visit(bus, due, now_ns)
-        return bool(due)
+        if soon:
+            every.visited = max(soon, key=lambda index: self._merit(every.states[index], now_ns))
+            every.words = self._words(bus, every.states[every.visited], now_ns, is_alone=True)
+        return bool(soon)
 
     def end_visit(self, bus: str) -> None:
         every = self._rounds[bus]
         every.words.clear()
         every.stale.add(every.visited)
 
-    def _visit(self, bus: str, due: Sequence[int], now_ns: int) -> None:
+    def _visit(self, bus: str, now_ns: int) -> None:
         """Begin a visit to the most urgent of the joints that are due."""
         every = self._rounds[bus]
-        every.visited = due[0]
-        if len(due) > 1:
-            every.visited = max(due, key=lambda index: self._merit(every.states[index], now_ns))
-        others = (every.states[index] for index in due if index != every.visited)
-        is_alone = all(_target_ns(other) > now_ns for other in others)
+        most, targets = (-1, 0.0), 0
+        for index, due_ns in enumerate(every.dues_ns):
+            if due_ns <= now_ns:
+                targets += every.targets_ns[index] <= now_ns
+                merit = self._merit(every.states[index], now_ns)
+                if merit > most:
+                    most, every.visited = merit, index
+        is_alone = targets == (every.targets_ns[every.visited] <= now_ns)
         every.words = self._words(bus, every.states[every.visited], now_ns, is_alone=is_alone)
 
     def is_due(self, bus: str, now_ns: int) -> bool:
@@ -435,8 +440,7 @@ class ByNeed(QueryChoice):
         self._look(bus, every)
         if every.stale:
             while every.stale:
-                index = every.stale.pop()
-                every.dues_ns[index] = self._due_ns(bus, every.states[index])
+                self._note_due(bus, every, every.stale.pop())
             every.first_ns = min(every.dues_ns)
         return bool(every.words) or every.first_ns <= now_ns
 
@@ -451,17 +455,18 @@ class ByNeed(QueryChoice):
         super().note_sent(bus, state, keyword, now_ns)
         every = self._rounds[bus]
         every.words.pop()
-        every.dues_ns[every.visited] = math.inf
+        every.dues_ns[every.visited] = every.targets_ns[every.visited] = math.inf
         every.first_ns = min(every.dues_ns)
         every.sent_bytes = self._lines[bus].sent_bytes
 
     def _look(self, bus: str, every: _Round) -> None:
         """Note what has changed besides answers: moves that left, and doubts."""
-        doubts = len(self._watch.doubted) + len(self._health.unconfirmed)
-        if doubts != self._doubts:
-            self._doubts = doubts
-            for one in self._rounds:
-                self.touch(one)
+        if self._doubts or self._watch.doubted or self._health.unconfirmed:
+            doubts = len(self._watch.doubted) + len(self._health.unconfirmed)
+            if doubts != self._doubts:
+                self._doubts = doubts
+                for one in self._rounds:
+                    self.touch(one)
         sent_bytes = self._lines[bus].sent_bytes
         if every.sent_bytes != sent_bytes:
             every.sent_bytes = sent_bytes
@@ -473,21 +478,24 @@ class ByNeed(QueryChoice):
     def _quiet_until_ns(self, bus: str, state: JointState) -> int:
         return self._trackers[bus].quiet_until_ns(state.joint.servo_id)
 
-    def _due_ns(self, bus: str, state: JointState) -> float:
-        """Return when a servo must be polled; infinite: not before something happens."""
-        name = state.joint.name
-        if self._trackers[bus].is_waiting(state.joint.servo_id):
-            return math.inf
-        if name in self._watch.doubted:
-            return 0.0
-        place_ns = self._places_ns.get(name)
-        if place_ns is None or name in self._health.unconfirmed:
-            return self._quiet_until_ns(bus, state)
-        place_ns += self._place_period_ns(state)
-        # Health goes along with the next query for the angle, which is due soon after it.
-        health_ns = self._health_due_ns(state) + self._health_later_ns
-        due_ns = min(place_ns, _target_ns(state), health_ns)
-        return max(due_ns, self._quiet_until_ns(bus, state))
+    def _note_due(self, bus: str, every: _Round, index: int) -> None:
+        """Compute when a servo must be polled, and when its target is due."""
+        state = every.states[index]
+        name, servo_id = state.joint.name, state.joint.servo_id
+        due_ns = target_ns = math.inf
+        if not self._trackers[bus].is_waiting(servo_id):
+            quiet_until_ns = self._trackers[bus].quiet_until_ns(servo_id)
+            place_ns, target_ns = self._places_ns.get(name), state.target_due_ns
+            if name in self._watch.doubted:
+                due_ns = 0.0
+            elif place_ns is None or name in self._health.unconfirmed:
+                due_ns = quiet_until_ns
+            else:
+                place_ns += self._place_period_ns(state)
+                # Health goes along with the next query for the angle, due soon after it.
+                health_ns = self._health_due_ns(state) + self._health_later_ns
+                due_ns = max(min(place_ns, target_ns, health_ns), quiet_until_ns)
+        every.dues_ns[index], every.targets_ns[index] = due_ns, target_ns
 
     def _place_period_ns(self, state: JointState) -> int:
         """Return how often the angle of a joint is queried.
@@ -496,17 +504,18 @@ class ByNeed(QueryChoice):
         far ahead, and nothing limits its speed but what it has stored. So it is read more often
         while it moves, but not on a line that loses answers: three in a row hold its moves back.
         """
-        is_soon = is_led(state) and state.joint.bus not in self._lossy
-        rested_ns = self._resting_ns(state)
-        if rested_ns is not None:
+        if self._rested_ns is not None and (rested_ns := self._resting_ns(state)) is not None:
             return rested_ns
-        return self._strayed_ns if is_soon or has_strayed(state) else self._steady_ns
+        if state.setpoints is not None and state.joint.bus not in self._lossy and is_led(state):
+            return self._strayed_ns
+        return self._strayed_ns if has_strayed(state) else self._steady_ns
 
     def note_timeout(self, bus: str) -> None:
         self._lossy.add(bus)
 
     def _resting_ns(self, state: JointState) -> int | None:
-        if self._rested_ns is None or (place_ns := self._places_ns.get(state.joint.name)) is None:
+        place_ns = self._places_ns.get(state.joint.name)
+        if self._rested_ns is None or place_ns is None:
             return None
         since_ns = self._since_ns.setdefault(state.joint.name, place_ns)
         has_moved = place_ns < max(since_ns, state.last_arrival_ns or 0) + RESTED_NS
@@ -525,7 +534,7 @@ class ByNeed(QueryChoice):
         first = self._priority_word(bus, state, now_ns)
         if first is None:
             first = self._health.unconfirmed.get(name)
-        probes = self._watch.keywords(name)
+        probes = self._probes[name]
         period_ns, place_ns = self._place_period_ns(state), self._places_ns.get(name)
         age_ns = math.inf if place_ns is None else now_ns - place_ns
         is_late = age_ns > 2.0 * period_ns

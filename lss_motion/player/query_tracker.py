@@ -95,12 +95,13 @@ class ReplyLatency:
 
     def take(self, waited_ns: int) -> None:
         """Use an answer that began `waited_ns` after its query had arrived."""
-        self._waits_ns.append(max(waited_ns, 0))
-        if len(self._waits_ns) < SAMPLES_LEAST:
+        self._waits_ns.append(waited_ns if waited_ns > 0 else 0)
+        count = len(self._waits_ns)
+        if count < SAMPLES_LEAST:
             return
         least_ns, most_ns = min(self._waits_ns), max(self._waits_ns)
-        margin_ns = MARGIN_SAMPLES * (most_ns - least_ns) // len(self._waits_ns)
-        self.earliest_ns = max(least_ns - margin_ns, 0)
+        margin_ns = MARGIN_SAMPLES * (most_ns - least_ns) // count
+        self.earliest_ns = least_ns - margin_ns if least_ns > margin_ns else 0
         self.latest_ns = most_ns + margin_ns
         self.is_known = True
 
@@ -134,7 +135,7 @@ class _Flight:
     waiting: deque[PendingQuery] = field(default_factory=deque)
     held: list[tuple[PendingQuery, Reply]] = field(default_factory=list)
     """Answers that may belong to one of several queries: accepted when all are answered."""
-    counts: Counter[str] = field(default_factory=Counter)
+    counts: dict[str, int] = field(default_factory=dict)
     """Number of queries by keyword."""
     is_patient: bool = False
     """Its answers are read when that costs no turn of the loop. They show no latency."""
@@ -189,7 +190,8 @@ class QueryTracker:
 
     def __init__(self, line: SerialLine) -> None:
         self._line = line
-        self._last_ns = 0
+        self.starves_ns = STARVED_NS
+        """After this instant no query was sent for too long."""
         self.query_count = 0
         self.reply_count = 0
         self.timeouts = 0
@@ -199,6 +201,14 @@ class QueryTracker:
         self._flights: dict[int, _Flight] = {}
         self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
+        self._newest_id = -1
+        """The servo of the newest flight."""
+        self.give_up_ns: int | None = None
+        """When `expire` must be called at the latest; None: no query is in flight."""
+        self._first_end_ns: int | None = 0
+        """When the first flight ends, 0 without any; None: not all of them are patient."""
+        self._last_end_ns = 0
+        """When the last flight ends, 0 without any."""
         self._quickest_ns: int | None = None
         """The latest of the earliest answers of all servos; None: an answer may have changed it."""
 
@@ -214,20 +224,9 @@ class QueryTracker:
         queries = [*flight.waiting, *(query for query, _ in flight.held)]
         return any(query.command.keyword == keyword for query in queries)
 
-    @property
-    def give_up_ns(self) -> int | None:
-        """When `expire` must be called at the latest; None: no query is in flight."""
-        if not self._flights:
-            return None
-        return min([flight.give_up_ns for flight in self._flights.values()])
-
     def quiet_until_ns(self, servo_id: int) -> int:
         """Return until when a servo is not polled after a timeout."""
         return self._links[servo_id].quiet_until_ns
-
-    def is_starved(self, now_ns: int) -> bool:
-        """Return whether no query was sent for too long."""
-        return now_ns - self._last_ns > STARVED_NS
 
     def last_sent_ns(self, servo_id: int) -> int:
         """Return when the last query to a servo was sent; 0: never."""
@@ -266,7 +265,7 @@ class QueryTracker:
 
         Answers of prompt flights may not, since they show the latency of a servo.
         """
-        first_ns = self._first_end_ns()
+        first_ns = self._first_end_ns
         if first_ns is None or first_ns + PATIENCE_NS <= now_ns:
             return None
         return first_ns + PATIENCE_NS
@@ -276,18 +275,24 @@ class QueryTracker:
 
         None: that is not known. For a time at which to look again, after `earliest_ns` had none.
         """
-        first_ns = self._first_end_ns()
+        first_ns = self._first_end_ns
         return None if first_ns is None else max(first_ns, self.not_before_ns())
 
-    def _first_end_ns(self) -> int | None:
-        """Return when the first flight ends, 0 without any; None: not all of them are patient."""
-        first_ns = 0
-        for flight in self._flights.values():
+    def _note_ends(self) -> None:
+        """Keep when the present flights end, which is asked in every turn."""
+        first_ns: int | None = 0
+        last_ns, give_up_ns = 0, None
+        for servo_id, flight in self._flights.items():
+            self._newest_id = servo_id
             if not flight.is_patient:
-                return None
-            if not first_ns or flight.end_ns < first_ns:
+                first_ns = None
+            elif first_ns == 0 or (first_ns is not None and flight.end_ns < first_ns):
                 first_ns = flight.end_ns
-        return first_ns
+            if flight.end_ns > last_ns:
+                last_ns = flight.end_ns
+            if give_up_ns is None or flight.give_up_ns < give_up_ns:
+                give_up_ns = flight.give_up_ns
+        self._first_end_ns, self._last_end_ns, self.give_up_ns = first_ns, last_ns, give_up_ns
 
     def earliest_ns(self, servo_id: int, size_bytes: int, *, is_urgent: bool = False) -> int | None:
         """Return the earliest instant at which a query of `size_bytes` may begin to leave.
@@ -297,47 +302,52 @@ class QueryTracker:
         """
         link = self._links[servo_id]
         quiet_until_ns = 0 if is_urgent else link.quiet_until_ns
-        if self._flights and servo_id == next(reversed(self._flights)):
-            is_full = len(self._flights[servo_id].waiting) >= self._window(link)
-            return None if is_full else quiet_until_ns
-        if servo_id in self._flights or len(self._flights) >= FLIGHTS_MAX:
+        if not self._flights:
+            return quiet_until_ns
+        if servo_id in self._flights:
+            is_newest = servo_id == self._newest_id
+            is_free = is_newest and len(self._flights[servo_id].waiting) < self._window(link)
+            return quiet_until_ns if is_free else None
+        if len(self._flights) >= FLIGHTS_MAX:
             return None
         arrival_ns = 0
         for other_id, flight in self._flights.items():
             if not (link.latency.is_known and self._links[other_id].latency.is_known):
                 return None
-            arrival_ns = max(arrival_ns, flight.end_ns - link.latency.earliest_ns)
-        return max(quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
+            own_ns = flight.end_ns - link.latency.earliest_ns
+            arrival_ns = own_ns if own_ns > arrival_ns else arrival_ns
+        leaves_ns = arrival_ns - self._line.times_ns[size_bytes]
+        return leaves_ns if leaves_ns > quiet_until_ns else quiet_until_ns
 
     def not_before_ns(self) -> int:
         """Return an instant before which no query to a servo without one in flight may leave."""
         if not self._flights:
             return 0
-        end_ns = max([flight.end_ns for flight in self._flights.values()])
         if self._quickest_ns is None:
-            self._quickest_ns = max(link.latency.earliest_ns for link in self._links.values())
-        quickest_ns = self._quickest_ns
-        return end_ns - quickest_ns - self._line.time_ns(QUERY_MAX_BYTES)
+            self._quickest_ns = max([link.latency.earliest_ns for link in self._links.values()])
+        return self._last_end_ns - self._quickest_ns - self._line.times_ns[QUERY_MAX_BYTES]
 
     def send(self, command: Command, now_ns: int, *, is_patient: bool = False) -> None:
         """Send a query; `earliest_ns` returns when that is allowed.
 
         `is_patient`: its answer need not be read at once.
         """
-        servo_id = command.servo_id
+        servo_id, keyword = command.servo_id, command.keyword
+        link = self._links[servo_id]
         arrival_ns = self._line.send(encode_query(command), now_ns)
-        if (flight := self._flights.get(servo_id)) is None:
-            link = self._links[servo_id]
+        if servo_id not in self._flights:
             link.flights += 1
             is_prompt = link.flights % PROMPT_EVERY == 0 or not link.latency.is_well_known
-            flight = self._flights[servo_id] = _Flight(
+            self._flights[servo_id] = _Flight(
                 garbage=self._line.garbage, is_patient=is_patient and not is_prompt
             )
-        reply_bytes = self.reply_bytes(servo_id, command.keyword)
-        flight.counts[command.keyword] += 1
+        flight = self._flights[servo_id]
+        reply_bytes = link.reply_bytes.get(keyword, REPLY_MAX_BYTES)
+        flight.counts[keyword] = flight.counts[keyword] + 1 if keyword in flight.counts else 1
         flight.waiting.append(PendingQuery(command, arrival_ns, reply_bytes))
         self._predict(servo_id, flight)
-        self._links[servo_id].last_sent_ns = self._last_ns = now_ns
+        link.last_sent_ns = now_ns
+        self.starves_ns = now_ns + STARVED_NS
         self.query_count += 1
 
     def receive(self, reply: Reply, now_ns: int) -> list[tuple[PendingQuery, Reply]]:
@@ -357,7 +367,7 @@ class QueryTracker:
         is_timed = flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]
         # After `give_up_ns` this program was held up: that is no latency of the servo.
         if is_timed and now_ns < flight.give_up_ns and not flight.is_patient:
-            began_ns = now_ns - self._line.time_ns(size_bytes)
+            began_ns = now_ns - self._line.times_ns[size_bytes]
             link.latency.take(began_ns - query.arrival_ns)
             self._quickest_ns = None
         while (skipped := flight.waiting.popleft()) is not query:
@@ -365,13 +375,18 @@ class QueryTracker:
             self._lost.append(skipped)
         flight.arrived_ns = link.last_reply_ns = now_ns
         flight.held.append((query, reply))
-        link.overdue.clear()
-        self._predict(servo_id, flight)
-        return self._accepted(servo_id, flight)
+        if link.overdue:
+            link.overdue.clear()
+        if flight.waiting:
+            self._predict(servo_id, flight)
+            return self._accepted(servo_id, flight)
+        accepted = self._accepted(servo_id, flight)
+        self._note_ends()
+        return accepted
 
     def expire(self, now_ns: int) -> list[PendingQuery]:
         """Give up the queries whose time is over; return them."""
-        if not self._lost and not self._flights:
+        if not self._lost and (self.give_up_ns is None or now_ns < self.give_up_ns):
             return []
         given_up, self._lost = self._lost, []
         late = [one for one, flight in self._flights.items() if now_ns >= flight.give_up_ns]
@@ -383,6 +398,8 @@ class QueryTracker:
             link.quiet_until_ns = now_ns + STRAY_NS
             link.overdue |= {query.command.keyword: query.arrival_ns for query in flight.waiting}
             link.fail()
+        if late:
+            self._note_ends()
         self.timeouts += len(given_up)
         return given_up
 
@@ -391,7 +408,7 @@ class QueryTracker:
         latency = link.latency
         if not latency.is_known:
             return 1
-        shortest_ns = self._line.time_ns(link.least_bytes)
+        shortest_ns = self._line.times_ns[link.least_bytes]
         return min(WINDOW_MAX, 3 + latency.latest_ns // shortest_ns)
 
     def _query_for(self, reply: Reply, now_ns: int) -> tuple[int, PendingQuery | None]:
@@ -445,9 +462,10 @@ class QueryTracker:
         latest_ns = latency.latest_ns
         if flight.is_patient:
             latest_ns += latency.spread_ns // PATIENT_SPREAD
-        end_ns = flight.arrived_ns
+        end_ns, times_ns = flight.arrived_ns, self._line.times_ns
         for query in flight.waiting:
-            end_ns = max(end_ns, query.arrival_ns + latest_ns)
-            end_ns += self._line.time_ns(query.reply_bytes)
+            begins_ns = query.arrival_ns + latest_ns
+            end_ns = (begins_ns if begins_ns > end_ns else end_ns) + times_ns[query.reply_bytes]
         flight.end_ns = end_ns
         flight.give_up_ns = end_ns + (GRACE_NS if latency.is_known else 0)
+        self._note_ends()

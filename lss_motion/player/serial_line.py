@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from lss_motion.protocol.framing import Garbage, Reply, ReplyParser, size_of
 from lss_motion.units import line_time_ns
@@ -11,8 +11,16 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Bus
 
 
-TABLE_BYTES: Final = 64
-"""Times of lines shorter than this are computed once: several are needed for each query."""
+class LineTimes(dict[int, int]):
+    """How long so many bytes occupy a line, each computed once: several are needed per query."""
+
+    def __init__(self, baud_bps: int) -> None:
+        super().__init__()
+        self._baud_bps = baud_bps
+
+    def __missing__(self, size_bytes: int) -> int:
+        self[size_bytes] = time_ns = line_time_ns(size_bytes, self._baud_bps)
+        return time_ns
 
 
 class SerialLine:
@@ -25,36 +33,31 @@ class SerialLine:
         self.replies = 0
         self.garbage = 0
         self._parser = ReplyParser(grouped=False)
-        self._out = bytearray()
-        self._times_ns = [line_time_ns(size, bus.baud_bps) for size in range(TABLE_BYTES)]
+        self.out = bytearray()
+        """What was handed over since the last call of `take`."""
+        self.times_ns = LineTimes(bus.baud_bps)
 
     def time_ns(self, size_bytes: int) -> int:
         """Return how long `size_bytes` occupy the line."""
-        if size_bytes < TABLE_BYTES:
-            return self._times_ns[size_bytes]
-        return line_time_ns(size_bytes, self.bus.baud_bps)
+        return self.times_ns[size_bytes]
 
     def arrival_ns(self, size_bytes: int, now_ns: int) -> int:
         """Return when the last of `size_bytes` would arrive if they were handed over now."""
-        free_ns = max(now_ns, self.free_ns)
-        if size_bytes < TABLE_BYTES:  # As `time_ns`, without a call: it is needed all the time.
-            return free_ns + self._times_ns[size_bytes]
-        return free_ns + self.time_ns(size_bytes)
+        free_ns = self.free_ns
+        return (now_ns if now_ns > free_ns else free_ns) + self.times_ns[size_bytes]
 
     def send(self, data: bytes, now_ns: int) -> int:
         """Hand over `data`; return when its last byte arrives at the servos."""
-        self.free_ns = self.arrival_ns(len(data), now_ns)
-        self.sent_bytes += len(data)
-        self._out += data
+        size_bytes = len(data)
+        self.free_ns = self.arrival_ns(size_bytes, now_ns)
+        self.sent_bytes += size_bytes
+        self.out += data
         return self.free_ns
 
     def take(self) -> bytes:
         """Return what was handed over since the last call."""
-        if not self._out:
-            return b""
-        out = bytes(self._out)
-        self._out.clear()
-        return out
+        data, self.out = bytes(self.out), bytearray()
+        return data
 
     @property
     def has_unfinished(self) -> bool:
@@ -67,18 +70,13 @@ class SerialLine:
         `data` came by `now_ns`. A reply with others behind it ended earlier, by the time that these
         take on the line. What is no reply is counted.
         """
-        received: list[Reply] = []
-        for item in self._parser.feed(data):
-            match item:
-                case Reply():
-                    self.replies += 1
-                    received.append(item)
-                case Garbage():
-                    self.garbage += 1
-        if len(received) < 2:
-            return [(reply, now_ns) for reply in received]
         pairs: list[tuple[Reply, int]] = []
-        for reply in reversed(received):
-            pairs.append((reply, now_ns))
-            now_ns -= self.time_ns(size_of(reply))
+        for item in reversed(self._parser.feed(data)):
+            if isinstance(item, Garbage):
+                self.garbage += 1
+                continue
+            self.replies += 1
+            if pairs:
+                now_ns -= self.times_ns[size_of(pairs[-1][0])]
+            pairs.append((item, now_ns))
         return pairs[::-1]

@@ -37,7 +37,7 @@ from lss_motion.units import s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
 
-    from lss_motion.player.events import Event
+    from lss_motion.player.events import Event, Waited
     from lss_motion.player.handshake import Answers
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.query_choice import Pace
@@ -346,6 +346,12 @@ class Session:
     def _commanded_deg(self, now_ns: int) -> dict[str, float]:
         """Return the servo angles to which the last moves sent the servos."""
         return {name: state.place(now_ns)[0] for name, state in self._states.items()}
+
+    def note_wait(self, streamer: Streamer) -> list[Waited]:
+        """Return what a streamer has waited for; the agenda goes back where the show did."""
+        if (back_at_s := streamer.take_way_back()) is not None:
+            self.agenda.go_back(back_at_s)
+        return streamer.waiting.take_notices()
 
     # ---- streamers
 

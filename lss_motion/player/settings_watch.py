@@ -71,10 +71,11 @@ class Silence:
 
     def answered(self, servo_id: int | None) -> None:
         """Note an answer of a servo; None: the answer does not say of which."""
-        self._mute.update(self._timeouts)
-        self._timeouts.clear()
-        if servo_id is not None:
-            self._mute.discard(servo_id)
+        if self._timeouts:
+            self._mute.update(self._timeouts)
+            self._timeouts.clear()
+        if servo_id in self._mute:
+            self._mute.remove(servo_id)
 
     def unanswered(self, servo_id: int) -> bool:
         """Note a query without an answer; return whether several servos fell silent together.
@@ -126,7 +127,7 @@ class SettingsWatch:
 
     def read_back(self, name: str, now_ns: int) -> str | None:
         """Return the probe that must be queried since the last one was too long ago."""
-        words = self.keywords(name)
+        words = self._keywords.get(name)
         if not words or name in self._restarted:
             return None
         if name not in self._read_backs:

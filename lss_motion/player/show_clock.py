@@ -55,16 +55,12 @@ class ShowClock:
         """By show times that `instant_ns` was asked for in this leg: those of moves and marks."""
         self._begin(start_ns, start_s, rate, rate)
 
-    @property
-    def leg(self) -> ClockLeg:
-        """The present leg."""
-        return self._legs[-1]
-
     def show_s(self, now_ns: int) -> float:
         """Return the show time at `now_ns`, also for a past instant, up to `KEPT_NS` ago."""
-        leg = self._legs[-1]
-        if leg.start_ns <= now_ns:  # Nearly always.
-            return leg.show_s(now_ns)
+        leg = self.leg
+        if now_ns >= self.ramp_end_ns:  # Nearly always: as `ClockLeg.show_s`, without a call.
+            steady_s = (now_ns - leg.start_ns) / NS_PER_S - self._ramp_s
+            return leg.start_s + (1.0 + leg.trim_ratio) * (self._ramped_s + leg.to_rate * steady_s)
         for leg in reversed(self._legs):
             if leg.start_ns <= now_ns:
                 return leg.show_s(now_ns)
@@ -176,6 +172,8 @@ class ShowClock:
     ) -> None:
         leg = ClockLeg(start_ns, start_s, from_rate, to_rate, ramp_ns, self.trim_ratio)
         self._legs.append(leg)
+        self.leg = leg
+        """The present leg: another one after every change of the clock."""
         while len(self._legs) > 1 and self._legs[1].start_ns < start_ns - KEPT_NS:
             past = self._legs.pop(0)
             self._past.append((past.start_ns, past.start_s))
@@ -186,5 +184,8 @@ class ShowClock:
         self.target_rate = to_rate
         self.ramp_end_ns = leg.ramp_end_ns
         """When the rate is, or was, steady again."""
+        self._ramp_s = ramp_ns / NS_PER_S
+        self._ramped_s = 0.5 * (from_rate + to_rate) * self._ramp_s
+        """How far the show goes in the ramp of this leg, without the trim."""
         self._ramp_end_s = leg.show_s(leg.ramp_end_ns)
         self._reached_ns.clear()

@@ -29,16 +29,13 @@ class StallDetector:
     """Detects that the process was stopped or got no processor time when something was due."""
 
     def __init__(self) -> None:
-        self._wakeup_ns: int | None = None
+        self.wakeup_ns: int | None = None
+        """When the player must be called at the latest; its owner sets it."""
         self._named = 0
-
-    def expect(self, wakeup_ns: int | None) -> None:
-        """Note when the player must be called at the latest."""
-        self._wakeup_ns = wakeup_ns
 
     def gap_ns(self, now_ns: int) -> int:
         """Return by how much the call at `now_ns` is too late; 0: not by `GAP_NS`."""
-        wakeup_ns, self._wakeup_ns = self._wakeup_ns, None
+        wakeup_ns, self.wakeup_ns = self.wakeup_ns, None
         gap_ns = 0 if wakeup_ns is None else now_ns - wakeup_ns
         return gap_ns if gap_ns >= GAP_NS else 0
 

@@ -71,7 +71,8 @@ class StandingCorrector:
 
     def begin(self) -> None:
         """Note that a move was sent: a new rest will follow."""
-        self._errors_deg.clear()
+        if self._errors_deg:
+            self._errors_deg.clear()
         self._tried_deg = None
         self.is_pushed, self._misses, self._attempts = False, 0, 0
 

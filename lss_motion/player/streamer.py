@@ -26,14 +26,10 @@ from msgspec.structs import replace
 
 from lss_motion.player.approach import with_room
 from lss_motion.player.cues import Waiting
-from lss_motion.player.due_moves import Due, DueMoves
+from lss_motion.player.due_moves import Due, DueMoves, earliest_after
 from lss_motion.player.joining import on_time_s, rejoin, send_deferred
-from lss_motion.player.joint_state import (
-    LONGEST_NS,
-    JointState,
-    Statistics,
-    make_joint_states,
-)
+from lss_motion.player.joint_state import LONGEST_NS, JointState, make_joint_states
+from lss_motion.player.lateness import Statistics
 from lss_motion.player.polling import LATE_NS, PollScheduler
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.rate_ramps import (
@@ -73,6 +69,7 @@ if TYPE_CHECKING:
 
 SETTLE_S: Final = 0.15
 """Time after the last horn should have arrived, for the servo's own settling."""
+SETTLE_NS: Final = ns_from_s(SETTLE_S)
 DOUBT_S: Final = 3.0
 """Longest wait at the end for a servo that may have restarted, which takes 1.25 s (FACTS.md R4)."""
 ARRIVAL_MAX_S: Final = s_from_ns(LONGEST_NS) + 1.0
@@ -140,6 +137,10 @@ class Streamer:
             ranges_deg={name: robot.joints[name].servo_range_deg for name in standing_deg},
         )
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.joint_states.values()}
+        self._resending: set[str] = set()
+        """Joints that are sent a target besides the program's: deferred, or to guide them."""
+        for state in self.joint_states.values():
+            state.report_resends(self._resending)
         self._periods = RampPeriods(self.joint_states.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
@@ -148,8 +149,9 @@ class Streamer:
         self._tick_ns: int | None = None
         self._spots: list[Spot] = []
         self._back_at_s: float | None = None
-        self.has_moved = self.is_late = False
-        """Whether moves left in this call of `advance`, and whether one was late."""
+        self.has_moved = self.is_late = self.has_waited = False
+        """Whether in the last call of `advance` moves left, one of them was late, or a wait for a
+        sensor began or ended."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
         self._beside = tuple(beside)
         scheduler = PollScheduler(self.all_states(), trackers, lines, self.waiting, probes, pace)
@@ -177,6 +179,7 @@ class Streamer:
         for name, state in joint_states.items():
             self.joint_states[name] = state
             self._by_address[state.joint.bus, state.joint.servo_id] = state
+            state.report_resends(self._resending)
 
     def _suspend_lent(self) -> None:
         for name in (name for other in self._beside for name in other.joint_states):
@@ -210,27 +213,22 @@ class Streamer:
     def _expected_deg(self, state: JointState, instant_ns: int) -> float:
         return self._owner(state).planned_deg(state, instant_ns)
 
-    @property
-    def _has_any_moved(self) -> bool:
-        return self.has_moved or (
-            bool(self._beside) and any(other.has_moved for other in self._beside)
-        )
-
     # ---- its state
 
     @property
     def rate_wanted(self) -> float:
         """The last rate given to `set_rate`."""
-        return self.waiting.rate_after if self.waiting.is_standing else self.clock.target_rate
+        is_standing = self.waiting.next_s < math.inf and self.waiting.is_standing
+        return self.waiting.rate_after if is_standing else self.clock.target_rate
 
     def is_finished(self, now_ns: int) -> bool:
         """Return whether the show is over and every servo at rest; false during a pause."""
-        if self.is_open:
+        show_s, end_s = self.clock.show_s(now_ns), self._program.duration_s + SETTLE_S
+        if show_s < end_s or self.is_open:
             return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
             return False
-        show_s, end_s = self.clock.show_s(now_ns), self._program.duration_s + SETTLE_S
-        if show_s < end_s or (self._has_doubts() and show_s < end_s + DOUBT_S):
+        if self._has_doubts() and show_s < end_s + DOUBT_S:
             return False
         return show_s >= end_s + ARRIVAL_MAX_S or self._has_arrived(now_ns)
 
@@ -356,43 +354,54 @@ class Streamer:
         To choose queries takes time, so others follow in the next call, after the moves have left.
         On a host that is always late, moves are due in every call; then all follow in the same one.
         """
-        self.has_moved = self.is_late = False
+        self.has_moved = self.is_late = self.has_waited = False
         if self._tick_ns is not None:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
             self._send_all_due(now_ns)
-        self._wait(now_ns)
-        self._resend_due(now_ns)
-        self._send_spots(now_ns)
+        if self.waiting.next_s < math.inf:
+            self._wait(now_ns)
+        if self._resending:
+            self._resend_due(now_ns)
+        if self._spots:
+            self._send_spots(now_ns)
         if self.scheduler is None:
             return
-        if not self._has_any_moved or self.scheduler.is_starved(now_ns):
+        has_moved, is_late = self.has_moved, self.is_late
+        for other in self._beside:
+            has_moved, is_late = has_moved or other.has_moved, is_late or other.is_late
+        if not has_moved or self.scheduler.is_starved(now_ns):
             self.scheduler.poll(now_ns, self.quiet_ns(now_ns))
-        elif not (self.is_late or any(other.is_late for other in self._beside)):
+        elif not is_late:
             self.scheduler.poll_behind(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
-        wakeups_ns = self._resends_ns()
-        if self._tick_ns is not None:
-            wakeups_ns.append(self._tick_ns)
-        elif self.clock.target_rate > 0.0:
-            if (due_ns := self._next_due_ns()) is not None:
-                wakeups_ns.append(due_ns)
-            elif self.waiting.next_s < math.inf:
-                wakeups_ns.append(self._instant_ns(self.waiting.next_s))
-            elif not math.isinf(self._program.duration_s):
-                end_ns = self.clock.instant_ns(self._program.duration_s + SETTLE_S)
-                wakeups_ns += [] if end_ns is None else [end_ns]
-            if self.waiting.back_s and not self.waiting.is_waiting:
-                wakeups_ns.append(self._instant_ns(self.waiting.next_s - self.waiting.back_s))
-        else:
-            wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
+        look_ns = polls_ns = back_ns = None
         if self.scheduler is not None:
-            if self._has_any_moved and self.scheduler.look_ahead(now_ns, self.quiet_ns(now_ns)):
-                wakeups_ns.append(now_ns + 1)
-            wakeups_ns += self.scheduler.wakeups_ns(now_ns)
-        return min([w for w in wakeups_ns if w > now_ns], default=None)
+            has_moved = self.has_moved
+            for other in self._beside:
+                has_moved = has_moved or other.has_moved
+            if has_moved and self.scheduler.look_ahead(now_ns, self.quiet_ns(now_ns)):
+                look_ns = now_ns + 1
+            polls_ns = self.scheduler.next_wakeup_ns(now_ns)
+        clock, waiting, next_ns = self.clock, self.waiting, self._tick_ns
+        if next_ns is None and clock.target_rate == 0.0:
+            next_ns = clock.ramp_end_ns + SETTLE_NS
+        elif next_ns is None:
+            next_ns = self._moves.first_ns(clock, waiting.next_s)
+            if next_ns is None:
+                next_ns = self._end_ns()
+            if waiting.back_s and not waiting.is_waiting:
+                back_ns = clock.instant_ns(waiting.next_s - waiting.back_s)
+        resends_ns = self._resends_ns() if self._resending else ()
+        return earliest_after(now_ns, (look_ns, polls_ns, next_ns, back_ns, *resends_ns))
+
+    def _end_ns(self) -> int | None:
+        """Return when the next wait or the end of the show is reached; None: there is no end."""
+        is_last = self.waiting.next_s == math.inf
+        end_s = self._program.duration_s + SETTLE_S if is_last else self.waiting.next_s
+        return None if end_s == math.inf else self.clock.instant_ns(end_s)
 
     def receive(self, bus: str, reply: Reply, ended_ns: int, now_ns: int) -> None:
         """Use a reply that ended at `ended_ns`, shortly before `now_ns`."""
@@ -410,9 +419,9 @@ class Streamer:
 
     def correct_standing(self, state: JointState, now_ns: int) -> None:
         """Send a joint that rests off its plan a correction, unless its plan moves on soon."""
-        if self._tick_ns is not None or self.clock.rate(now_ns) != 1.0:
+        if self._tick_ns is not None or not state.may_stand(s_from_ns(now_ns)):
             return
-        if not state.takes_moves or state.resend_ns is not None:
+        if self.clock.rate(now_ns) != 1.0 or not state.takes_moves or state.resend_ns is not None:
             return
         planned_deg = self.planned_deg(state, now_ns)
         later_deg = self.planned_deg(state, now_ns + REST_LEAST_NS)
@@ -423,20 +432,11 @@ class Streamer:
             line = self._lines[state.joint.bus]
             state.correct_standing(line, offset_deg, planned_deg, now_ns)
 
-    def _next_due_ns(self) -> int | None:
-        """Return when the next move is due; None: none is, at least before the next wait."""
-        due = self._moves.first(US_PER_S * self.waiting.next_s)
-        return None if due is None else self._instant_ns(due.at_us / US_PER_S)
-
-    def _instant_ns(self, show_s: float) -> int:
-        instant_ns = self.clock.instant_ns(show_s)
-        assert instant_ns is not None, "the show stands still"
-        return instant_ns
-
     def _wait(self, now_ns: int) -> None:
         """Stop the show where it waits for a sensor; go on when the wait is over."""
         back_s = self.waiting.back_s
         state = self.waiting.advance(self.clock, now_ns)
+        self.has_waited = state is not None
         if back_s:
             if state == "again":  # Its moves leave once more.
                 from_s = self.waiting.next_s - back_s
@@ -459,22 +459,17 @@ class Streamer:
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when no move is due; None: no move is planned."""
         due_ns = self.due_ns()
-        return None if due_ns is None else max(due_ns, now_ns)
+        return now_ns if due_ns is not None and due_ns < now_ns else due_ns
 
     def due_ns(self) -> int | None:
         """Return when the next move is due, also in the past; None: no move is planned."""
-        due_ns = self._resends_ns()
-        due_ns += [due for other in self._beside if (due := other.due_ns()) is not None]
-        if self._tick_ns is not None:
-            due_ns.append(self._tick_ns)
-        elif self.clock.target_rate > 0.0 and (next_ns := self._next_due_ns()) is not None:
-            due_ns.append(next_ns)
-        return min(due_ns, default=None)
-
-    def is_due(self, leaves_ns: int) -> bool:
-        """Return whether a move must leave by then."""
-        due_ns = self.due_ns()
-        return due_ns is not None and due_ns <= leaves_ns
+        due_ns = self._tick_ns
+        if due_ns is None and self.clock.target_rate > 0.0:
+            due_ns = self._moves.first_ns(self.clock, self.waiting.next_s)
+        if self._resending or self._beside:
+            others_ns = [*self._resends_ns(), *(other.due_ns() for other in self._beside)]
+            due_ns = min([ns for ns in (due_ns, *others_ns) if ns is not None], default=None)
+        return due_ns
 
     def halt(self, since_ns: int, now_ns: int) -> None:
         """Brake after a stall: the show stands since `since_ns`, when a move was due.
@@ -495,9 +490,12 @@ class Streamer:
         A servo that receives several at once obeys the last only, as late as they keep the line.
         Several are due at once after a stall, and where a joint turns out to lag more than before.
         """
+        moves, clock, before_s = self._moves, self.clock, self.waiting.next_s
         due: list[tuple[int, Due]] = []
-        while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
-            due.append((due_ns, self._moves.pop()))
+        while (due_ns := moves.first_ns(clock, before_s)) is not None and due_ns <= now_ns:
+            due.append((due_ns, moves.pop()))
+        if not due:
+            return
         latest = {(one.move.bus, one.move.servo_id): one.number for _, one in due}
         for due_ns, one in due:
             self.has_moved = True
@@ -509,18 +507,21 @@ class Streamer:
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         state = self._by_address[move.bus, move.servo_id]
-        state.begin_move(move._replace(due_us=due_us))
-        self._spots = [spot for spot in self._spots if spot.state is not state]
-        wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
-        self.statistics.sent(late_ns + wait_ns)
-        left_s = self._left_s(state, now_ns)
+        state.begin_move(move if move.due_us == due_us else move._replace(due_us=due_us))
+        if self._spots:
+            self._spots = [spot for spot in self._spots if spot.state is not state]
+        line = self._lines[move.bus]
+        if line.free_ns > now_ns:
+            late_ns += line.free_ns - now_ns
+        self.statistics.sent(late_ns)
+        left_s = state.left_s(line, self.clock, now_ns)
         state.aim(max(left_s, 0.0), now_ns)
-        if late_ns + wait_ns <= ON_TIME_NS:
-            left_s = on_time_s(state, self._lines[move.bus], self._plan_s, now_ns)
+        if late_ns <= ON_TIME_NS:
+            left_s = on_time_s(state, line, self._plan_s, now_ns)
         if state.guide_ns is not None:
             self._guide(state, now_ns)
         else:
-            state.send_active(self._lines[state.joint.bus], left_s, now_ns)
+            state.send_active(line, left_s, now_ns)
             self._set_guiding(state, now_ns)
 
     def _guide(self, state: JointState, now_ns: int) -> None:
@@ -547,7 +548,7 @@ class Streamer:
         next_us = self._moves.next_us(servo, US_PER_S * self.waiting.next_s)
         if next_us is None:
             return period_ns
-        next_ns = self._instant_ns(s_from_us(next_us)) - now_ns
+        next_ns = (self.clock.instant_ns(s_from_us(next_us)) or 0) - now_ns
         return next_ns // math.ceil(next_ns / period_ns) if next_ns > 0 else period_ns
 
     @property
@@ -568,22 +569,16 @@ class Streamer:
         line = self._lines[state.joint.bus]
         rejoin(state, line, self.clock, self._program.within, now_ns)
 
-    def _left_s(self, state: JointState, now_ns: int) -> float:
-        return state.left_s(self._lines[state.joint.bus], self.clock, now_ns)
-
     def _resends_ns(self) -> list[int]:
         """Return the instants of deferred and guiding targets."""
-        return [
-            resend_ns
-            for state in self.joint_states.values()
-            # Most have none; this is faster than the property for every joint in every turn.
-            if (state.deferred is not None or state.guide_ns is not None)
-            and (resend_ns := state.resend_ns) is not None
-        ]
+        if not self._resending:
+            return []
+        resends_ns = [self.joint_states[name].resend_ns for name in self._resending]
+        return [resend_ns for resend_ns in resends_ns if resend_ns is not None]
 
     def _resend_due(self, now_ns: int) -> None:
-        for state in self.joint_states.values():
-            if state.deferred is None and state.guide_ns is None:  # Faster, and so for most.
+        for name, state in self.joint_states.items():
+            if name not in self._resending:
                 continue
             if state.resend_ns is None or state.resend_ns > now_ns:
                 continue
@@ -639,7 +634,7 @@ class Streamer:
     def _send_rest(self, spot: Spot, now_ns: int) -> None:
         """Send a joint the rest of its move under way, unless it has arrived."""
         state = spot.state
-        left_s = self._left_s(state, now_ns)
+        left_s = state.left_s(self._lines[state.joint.bus], self.clock, now_ns)
         position_deg, speed_deg_s = state.place(now_ns)
         off_deg = abs(state.target_deg - position_deg)
         if left_s > 0.0 or off_deg > state.joint.unit_deg or speed_deg_s != 0.0:

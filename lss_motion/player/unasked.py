@@ -9,6 +9,7 @@ trace here; nor does a host at a baud rate that no servo has.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
@@ -107,17 +108,18 @@ class UnaskedWatches:
         self, lines: Mapping[str, SerialLine], trackers: Mapping[str, QueryTracker]
     ) -> None:
         self._watches = {name: UnaskedWatch(line, trackers[name]) for name, line in lines.items()}
-        self._look_ns: int | None = None
+        self.look_ns: float = math.inf
+        """When `advance` must be called next."""
 
     def start(self) -> None:
         """Watch from now on: no servos share an id, whose replies would damage each other."""
-        self._look_ns = 0
+        self.look_ns = 0
 
     def advance(self, now_ns: int) -> list[str]:
         """Return a text for each bus on which more arrives than was asked for, when it begins."""
-        if self._look_ns is None or now_ns < self._look_ns:
+        if now_ns < self.look_ns:
             return []
-        self._look_ns = now_ns + LOOK_NS
+        self.look_ns = now_ns + LOOK_NS
         found = [(name, watch) for name, watch in self._watches.items() if watch.advance(now_ns)]
         return [watch.text(f"bus {name}") for name, watch in found]
 

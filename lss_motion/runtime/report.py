@@ -18,7 +18,7 @@ from msgspec import Struct, to_builtins
 
 from lss_motion.files.output import write_output
 from lss_motion.files.source import counted
-from lss_motion.player.joint_state import Statistics
+from lss_motion.player.lateness import Statistics
 from lss_motion.splines import polyline
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 

@@ -89,7 +89,8 @@ class Desk:
                 arrival_ns, reply = self._coming.pop(0)
                 self.scheduler.receive("main", reply, arrival_ns, planned_deg)
             self.ask(now_ns, quiet_until_ns(now_ns))
-            wakeups_ns = [ns + late_ns for ns in self.scheduler.wakeups_ns(now_ns) if ns > now_ns]
+            wakeup_ns = self.scheduler.next_wakeup_ns(now_ns)
+            wakeups_ns = [] if wakeup_ns is None else [wakeup_ns + late_ns]
             wakeups_ns += [arrival_ns for arrival_ns, _ in self._coming[:1]]
             wakeups_ns += [ns for ns in [quiet_until_ns(now_ns)] if ns is not None]
             now_ns = max(min(wakeups_ns, default=until_ns), now_ns + 1)
@@ -103,7 +104,7 @@ class Desk:
         """Poll behind moves that leave now."""
         self.line.take()
         self.scheduler.poll_behind(now_ns, quiet_until_ns)
-        self._free_ns = self.line.free_ns - self.line.time_ns(len(self.line._out))
+        self._free_ns = self.line.free_ns - self.line.time_ns(len(self.line.out))
         self._hand_over(now_ns)
 
     def _hand_over(self, now_ns):
@@ -313,7 +314,7 @@ def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
     for state in desk.joint_states.values():
         for ask in range(SILENT_QUERIES):
             desk.scheduler.health.unanswered(state, KNOWN_NS + ask, KNOWN_NS)
-    wakeup_ns = min(ns for ns in desk.scheduler.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
+    wakeup_ns = desk.scheduler.next_wakeup_ns(KNOWN_NS)
     begun, woken_ns = len(desk.asked), wakeup_ns + late_ns
     desk.run(woken_ns, woken_ns + 200 * MS)
     last_sent_ns = [at_ns - woken_ns for at_ns, *_ in desk.asked[begun:]]
@@ -328,7 +329,7 @@ def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
 
 def test_what_is_done_between_two_wakeups_is_not_late(kit):
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
-    wakeup_ns = min(ns for ns in desk.scheduler.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
+    wakeup_ns = desk.scheduler.next_wakeup_ns(KNOWN_NS)
     desk.ask(wakeup_ns)
     desk.ask(wakeup_ns + 5 * MS)
     desk.run(wakeup_ns + 5 * MS, wakeup_ns + 10 * MS)

@@ -119,7 +119,7 @@ def test_no_query_is_overdue_on_an_idle_line(kit):
     gaps = [(a[0], b[0]) for a, b in pairwise(desk.asked) if b[0] - a[0] > 2 * STARVED_NS]
     assert gaps, "nothing is due for a while"
     desk.run(S, S + 1)
-    next_ns = min(ns for ns in desk.scheduler.wakeups_ns(S) if ns > S)
+    next_ns = desk.scheduler.next_wakeup_ns(S)
     assert not desk.scheduler.is_starved(next_ns - 1)
     assert desk.scheduler.is_starved(next_ns + STARVED_NS)
 
@@ -171,9 +171,9 @@ def idle_until(desk):
     desk.run(0, now_ns)
     while True:
         desk.run(now_ns, now_ns + 1)
-        wakeups_ns = [ns for ns in desk.scheduler.wakeups_ns(now_ns) if ns > now_ns + 3 * AHEAD_NS]
-        if desk.tracker.give_up_ns is None and wakeups_ns:
-            return min(wakeups_ns)
+        next_ns = desk.scheduler.next_wakeup_ns(now_ns + 3 * AHEAD_NS)
+        if desk.tracker.give_up_ns is None and next_ns is not None:
+            return next_ns
         now_ns += MS // 4
 
 

@@ -14,7 +14,7 @@ def test_only_a_long_delay_is_a_gap():
         (10 * S, 10 * S + GAP_NS, GAP_NS),
         (None, 99 * S, 0),
     ):
-        gaps.expect(wakeup_ns)
+        gaps.wakeup_ns = wakeup_ns
         assert gaps.gap_ns(now_ns) == gap_ns
         assert gaps.gap_ns(now_ns + S) == 0, "it was named"
 
