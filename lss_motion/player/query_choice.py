@@ -291,13 +291,16 @@ class QueryChoice(ABC):
         name, error_deg = state.joint.name, state.disturbance.error_deg
         if name not in self._visits_ns:
             return DOUBT_NS + now_ns, 0.0
-        age_ns, speed_deg_s = now_ns - self._visits_ns[name], state.place(now_ns)[1]
+        age_ns = now_ns - self._visits_ns[name]
+        _, speed_deg_s = state.profile.at(now_ns / NS_PER_S)
         weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * (speed_deg_s if speed_deg_s > 0.0 else -speed_deg_s)
         weight += ERROR_WEIGHT_PER_DEG * (error_deg if error_deg > 0.0 else -error_deg)
         overdue_ns = age_ns if age_ns > LONGEST_NS else 0
         if name in self._watch.doubted or name in self._health.unconfirmed:
             overdue_ns = DOUBT_NS + age_ns
-        return overdue_ns, age_ns * weight + VISIT_NS * (state.target_due_ns <= now_ns)
+        lost_moves = state.lost_moves
+        is_target_due = lost_moves is not None and lost_moves.target_due_ns <= now_ns
+        return overdue_ns, age_ns * weight + VISIT_NS * is_target_due
 
     def _can_be_polled(self, bus: str, state: JointState, now_ns: int) -> bool:
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
