@@ -5,43 +5,30 @@ simulated robot is a process of its own, behind a pseudo-terminal, and the show 
 from its first instant to its last: connecting, settings, approach and report take their time once,
 however long the show is, and are stated beside it. In virtual time all of the run counts.
 
-Where it goes, by samples of the walk of 18 joints (8,840 turns of the loop, 9,440 queries, 1,990
-moves, 25 s of run): the simulator 31 % (11 % ticks of 5 ms, 13 % lines that servos receive), the
-player's turns 31 % (15 % polling, 8 % moves), answers 26 % (14 % the estimators), wake-ups 6 %, the
-loop 6 %: no function has more than 5 %. In real time a turn costs 0.4 ms, in virtual time 0.14 ms
-without the simulator (before the gains below): a process which slept finds the caches cold. So
-wake-ups count: 290 a second, of which 100 are moves, 150 servos that are polled at an instant of
-their own, and 40 answers. Two servos cannot be polled in one write, because their answers would
-meet; only group queries (FACTS.md W17, from firmware 370) could save more of these.
+What it costs, as calls of functions of the walk with a tolerance of 0.03 deg (18,645 turns of the
+loop, 11,090 queries, 5,416 moves, 25 s of run), which do not depend on other work of the computer:
+6.04 million. The player has 4.26 of them, 228 a turn, and 69 % of the time under cProfile. No
+function of it has more than 3 % of its calls. In real time a turn costs more than in virtual time
+(0.4 and 0.14 ms, before the gains below): a process which slept finds the caches cold. Two servos
+cannot be polled in one write, because their answers would meet; only group queries (FACTS.md W17,
+from firmware 370) could save turns.
 
-What was gained last, all of it byte for byte the same (`tools/freeze.py`), as calls of functions
-for the walk, which do not depend on other work of the computer, and as processor time of the walk
-in alternating pairs with the version before all of it:
+What was gained last, all of it byte for byte the same (`tools/freeze.py`):
 
-- 7.50 to 7.12 million calls: lines of queries are parsed and encoded once, sizes of replies counted
-  without encoding, servos found by id, no look for faults that are not there, no outbox for a port
-  that is never blocked, scales of the tables as numbers. With ticks that reuse their arrays
-  (a fifth less for one): 0.91 of the time.
-- to 6.67: instants of moves, marks and the next query are kept while they hold.
-- to 6.35: profiles and horns at an instant without calls, arrival times from a table.
-- to 6.09: a load below a unit is not weighed, the Kalman filter's products are written out. With
-  these three: 0.83 of the time, of the lively show as well. In real time the lively show takes
-  0.96 of what it took (19.0 and 19.8 % of a core, pairs at a load of 20 processes, not quiet).
+- the player, 7.81 million calls to 4.26 (419 a turn to 228), in three alternating pairs with the
+  version before 0.69, 0.70 and 0.76 of the processor time of the run: when the next move leaves,
+  when a query may, which joints are sent targets of their own, and what is derived of load and lag
+  are kept until a move, a reply, the clock or a wait changes them
+  (`tests/virtual/test_kept_instants.py`); profiles of servos that may have lost a move are computed
+  when a reading is compared with them.
+- before that, 7.50 million to 6.09 at a tolerance of 0.2 deg: lines of queries parsed and encoded
+  once, profiles and horns at an instant without calls, arrival times from a table.
 
-Simulator and loop: of the walk as `lss-play` compiles it (18,645 turns, 5,416 moves, 11,090
-queries) the functions of `sim`, `runtime` and `protocol` took 3.19 million calls and take 1.88:
-
-- to 2.15: the port writes and reads without advancing the motors, a plain query is one look-up and
-  one measurement, faults that are not there are not called for, and the loop takes no numbers of
-  files in virtual time.
-- to 2.08: common lines and replies with numbers are read without a parser.
-- to 1.88: a horn is computed by itself when its servo is read or ordered, and the control loops of
-  up to 0.32 s at once (`sim/blocks.py`): 4,784 loops in 560 blocks. A load, play, or a motor that
-  may be held back need each loop after the one before it, as ever.
-
-Not done. Answers that wait longer than 4 ms: 583 turns are for these alone, and a lost
-move would be sent again later. What is left is spread evenly over 5,900 visits to servos, 13 a
-second and joint, so 20 x real time needs fewer visits: that is fewer readings (FACTS.md N13).
+Not done. To poll the servo that is due for longest, whatever its speed and error, saves 160,000
+calls, but another one is read, and loaded joints had 2 % more error (`robust.py droop`).
+Of 21,957 looks for a query 7,200 end because the servo before may still answer; to choose the
+next servo only when it may be sent one would save these. 20 x real time needs fewer visits to
+servos, now 13 a second and joint: that is fewer readings (FACTS.md N13).
 """
 
 from __future__ import annotations
