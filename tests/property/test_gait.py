@@ -22,9 +22,9 @@ from lss_motion.trajectory.planner import plan
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 SAME_MM = 0.01
-STEERED = 25
+STEERED = 10
 COMMANDS = 40
-"""25 walks of 40 commands: 1,000 commands."""
+"""Two walks of 40 commands for each pattern: four of six legs, one of four."""
 
 lengths = st.floats(5.0, 300.0)
 angles = st.floats(-180.0, 180.0)
