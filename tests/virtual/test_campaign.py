@@ -164,7 +164,7 @@ def test_a_crash_is_seen(monkeypatch):
 
 def test_a_horn_beyond_its_limits_is_seen(monkeypatch):
     monkeypatch.setattr(handshake, "session_orders", lambda *_: [])
-    monkeypatch.setattr(streamer.Streamer, "_left_s", lambda *_: 0.01)
+    monkeypatch.setattr(joint_state.JointState, "left_s", lambda *_: 0.01)
     monkeypatch.setattr(streamer, "ON_TIME_NS", -1)
     assert "acceleration" in broken("arm")
 
