@@ -10,10 +10,12 @@ collects signals itself (`cli.terminal`).
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import os
 import signal
 import sys
+import time
 from typing import TYPE_CHECKING, Final, TextIO
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_OF_SIGNAL
@@ -31,6 +33,8 @@ ENDING: Final = tuple(
 PATIENCE: Final = 3
 """So many more signals are ignored while a program sends the safe state and closes its ports, which
 takes a second or two; the next one ends it at once."""
+AGAIN_S: Final = 0.01
+"""So long after its exception was dropped, a signal is sent again. Chosen: a destructor is over."""
 
 
 class Ended(KeyboardInterrupt):
@@ -50,6 +54,7 @@ def as_program(name: str, do: Callable[[], int]) -> int:
     """Run a whole program; return its exit code. For entry points only: it changes the process."""
     _open_missing_streams()
     handler = _Handler(name)
+    before, sys.unraisablehook = sys.unraisablehook, handler.dropped
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, or a job behind `&`
             signal.signal(number, handler)
@@ -60,6 +65,7 @@ def as_program(name: str, do: Callable[[], int]) -> int:
     finally:
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
+        sys.unraisablehook = before
     is_written = _flush(name)
     return code if is_written else code or EXIT_INPUT
 
@@ -86,6 +92,7 @@ class _Handler:
         self._name = name
         self._depth = 0
         self._count = 0
+        self._thread_id = _thread.get_ident()
 
     def begin(self) -> None:
         self._depth += 1
@@ -103,6 +110,25 @@ class _Handler:
             os._exit(EXIT_OF_SIGNAL + number)
         if self._count == 1:
             raise Ended(number)
+
+    def dropped(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """Send the signal again if Python has dropped `Ended`; else print what it has dropped.
+
+        It does so in destructors and in callbacks of weak references, such as those of imports.
+        """
+        ended = unraisable.exc_value
+        if isinstance(ended, Ended) and self._depth:
+            self._count = 0
+            _thread.start_new_thread(self._send_again, (ended.number,))
+        else:
+            sys.__unraisablehook__(unraisable)
+
+    def _send_again(self, number: int) -> None:
+        time.sleep(AGAIN_S)  # noqa: TID251 (a thread that does nothing else)
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(self._thread_id, number)  # It interrupts a wait of that thread.
+        else:
+            signal.raise_signal(number)
 
 
 def redirect_to_null(stream: TextIO) -> None:

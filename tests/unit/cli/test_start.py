@@ -119,6 +119,29 @@ def as_test_program():
         signal.signal(number, kept[number])
 
 
+def test_a_signal_is_not_lost_in_a_destructor(as_test_program):
+    """Python drops the exceptions of destructors, and of callbacks amid an import."""
+
+    class Dying:
+        def __del__(self):
+            signal.raise_signal(signal.SIGTERM)
+
+    steps = []
+
+    def do():
+        with raising():
+            Dying()
+            steps.append("goes on")
+            time.sleep(20.0)
+            steps.append("ignored the signal")
+        return 0
+
+    with pytest.raises(Ended) as caught:
+        as_test_program(do)
+    assert caught.value.number == signal.SIGTERM
+    assert steps == ["goes on"]
+
+
 def test_while_a_port_is_open_the_first_signal_raises_and_the_next_ones_do_not(as_test_program):
     steps = []
 
