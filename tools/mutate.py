@@ -57,6 +57,7 @@ TARGETS = {
     "player/faults": ("tests/unit/player/test_faults.py", _LADDER),
     "player/health": ("tests/unit/player/test_health.py",),
     "player/joint_state": ("tests/unit/player/test_joint_state.py",),
+    "player/lateness": ("tests/unit/player/test_joint_state.py",),
     "player/setpoints": ("tests/unit/player/test_joint_state.py",),
     "player/polling": ("tests/unit/player/test_polling.py",),
     "player/query_tracker": ("tests/unit/player/test_query_tracker.py",),

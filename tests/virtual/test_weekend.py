@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 import weekend as tool
-from msgspec.structs import replace
 
 HURRY = 60.0
 HOURS = 0.05

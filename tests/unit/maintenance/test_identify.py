@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -113,7 +115,11 @@ def test_the_judge_of_these_tests_finds_wrong_results():
     fast = one.found.top_deg_s._replace(value=2.0 * one.found.top_deg_s.value)
     late = one.found.lag_s._replace(value=0.05)
     wrong = replace(one.found, lag_s=late, top_deg_s=fast, is_top=True)
-    assert set(faults(replace(one, found=wrong, away_deg=99.0))) >= {"lag", "speed", "span"}
+    assert set(faults(dataclasses.replace(one, found=wrong, away_deg=99.0))) >= {
+        "lag",
+        "speed",
+        "span",
+    }
 
 
 def test_a_bad_line_loses_readings_but_not_the_result():

@@ -638,6 +638,9 @@ def test_later_than_a_move_reaches_is_missed():
     for late_ns in (MISSED_NS, MISSED_NS + 1):
         statistics.sent(late_ns)
     assert statistics.timing()["missed"] == 1
+    statistics.left_out()
+    assert statistics.timing()["missed"] == 2
+    assert statistics.timing()["commands"] == 2
 
 
 def test_nothing_sent_is_all_zeros():
