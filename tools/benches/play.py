@@ -5,9 +5,9 @@ simulated robot is a process of its own, behind a pseudo-terminal, and the show 
 from its first instant to its last: connecting, settings, approach and report take their time once,
 however long the show is, and are stated beside it. In virtual time all of the run counts.
 
-On a quiet machine on which `import numpy` takes 0.16 s and the walk took 18.5 s as a whole process at
-ca11cdd: the walk is simulated at 4.8 x real time, the lively show of 18 joints at 6.7 x, and one in
-real time takes 14 to 15 % of a core. The goal of 10 x is not reached, for the reasons below.
+On a quiet machine on which `import numpy` takes 0.16 s and the walk took 18.5 s as a whole process
+at ca11cdd: the walk is simulated at 4.8 x real time, the lively show of 18 joints at 6.7 x, and one
+in real time takes 14 to 15 % of a core. The goal of 10 x is not reached, for the reasons below.
 
 What it costs, as calls of functions of the walk with a tolerance of 0.03 deg (18,645 turns of the
 loop, 11,090 queries, 5,416 moves, 25 s of run), which do not depend on other work of the computer:
