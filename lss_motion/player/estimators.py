@@ -214,8 +214,11 @@ class HornEstimator:
         """Compute anew what a reading has changed and every move needs."""
         self.lag_s = min(max(self._mean[-1], -LAG_MAX_S), LAG_MAX_S)
         self.model_ratio = min(max(0.0, 2.0 - self.unexplained_s / FOUND_S), 1.0)
-        self.worth_ratio = min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
+        self._note_worth()
         self.early_s = self._early_s()
+
+    def _note_worth(self) -> None:
+        self.worth_ratio = min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
 
     def _early_s(self) -> float:
         """Return the lag, or 0 if it is small or no lag.
@@ -279,7 +282,7 @@ class HornEstimator:
         rest = (1.0 - keep) * WORTH_DEG2_S
         self._common = keep * self._common + weight * error_deg * load_deg + rest
         self._square = keep * self._square + weight * load_deg * load_deg + rest
-        self.worth_ratio = min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
+        self._note_worth()
 
     def take(
         self,

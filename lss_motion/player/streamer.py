@@ -213,6 +213,12 @@ class Streamer:
     def _expected_deg(self, state: JointState, instant_ns: int) -> float:
         return self._owner(state).planned_deg(state, instant_ns)
 
+    @property
+    def _has_any_moved(self) -> bool:
+        return self.has_moved or (
+            bool(self._beside) and any(other.has_moved for other in self._beside)
+        )
+
     # ---- its state
 
     @property
@@ -367,22 +373,16 @@ class Streamer:
             self._send_spots(now_ns)
         if self.scheduler is None:
             return
-        has_moved, is_late = self.has_moved, self.is_late
-        for other in self._beside:
-            has_moved, is_late = has_moved or other.has_moved, is_late or other.is_late
-        if not has_moved or self.scheduler.is_starved(now_ns):
+        if not self._has_any_moved or self.scheduler.is_starved(now_ns):
             self.scheduler.poll(now_ns, self.quiet_ns(now_ns))
-        elif not is_late:
+        elif not (self.is_late or any(other.is_late for other in self._beside)):
             self.scheduler.poll_behind(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
         look_ns = polls_ns = back_ns = None
         if self.scheduler is not None:
-            has_moved = self.has_moved
-            for other in self._beside:
-                has_moved = has_moved or other.has_moved
-            if has_moved and self.scheduler.look_ahead(now_ns, self.quiet_ns(now_ns)):
+            if self._has_any_moved and self.scheduler.look_ahead(now_ns, self.quiet_ns(now_ns)):
                 look_ns = now_ns + 1
             polls_ns = self.scheduler.next_wakeup_ns(now_ns)
         clock, waiting, next_ns = self.clock, self.waiting, self._tick_ns

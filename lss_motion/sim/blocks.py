@@ -25,7 +25,7 @@ BLOCK_NS: Final = 64 * TICK_NS
 """The loops of so long a time are owed at most. Chosen: a current or a temperature is asked for
 more often, and a block stays small."""
 
-Final3 = tuple[float, float, float]
+Parabola = tuple[float, float, float]
 """Where a horn would end up: a parabola of the seconds since its phase began, in degrees."""
 
 
@@ -53,7 +53,7 @@ class Block:
         *,
         lags_s: Sequence[float],
         began_ns: Sequence[int],
-        finals: Sequence[Final3],
+        finals: Sequence[Parabola],
         deg: Sequence[float],
         gap_deg: Sequence[float],
         deg_s: Sequence[float],

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.sim.blocks import Final3
+    from lss_motion.sim.blocks import Parabola
     from lss_motion.sim.physics import Physics, ServoSpec
 
 
@@ -74,7 +74,7 @@ class Horns:
         self._lags_s = [physics.lag_s] * count
         self._is_jammed = [False] * count
         self._ns = [0] * count
-        self._finals: list[Final3] = [(deg, 0.0, 0.0) for deg in self.deg]
+        self._finals: list[Parabola] = [(deg, 0.0, 0.0) for deg in self.deg]
         """Where the horns would end up but for their droop."""
         self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
         self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
