@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benches.in_phase import horn_rms_deg, with_and_without_feedback
+from benches.in_phase import bound_ratios, horn_rms_deg, with_and_without_feedback
 from lss_motion.errors import LssMotionError
 from lss_motion.interchange import (
     ForeignMotion,
@@ -48,8 +48,6 @@ HEAD = (
     "| simulated deg | with feedback deg | RMS with / without | verdict |"
 )
 FIGURES = Path(__file__).with_name("FIGURES.md")
-LEAST_DEG = 0.001
-"""A report rounds angles to this."""
 HARM_RATIO = 1.02
 MARKS = "<!-- motions -->\n", "<!-- end of motions -->\n"
 SUMMARY = (
@@ -174,7 +172,6 @@ def verdict_of(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path)
     fed_back_deg, plain_deg = (horn_rms_deg(run, trajectory) for run in runs)
     is_played = plain.outcome == "finished" and plain.timing.missed == 0
     slowed = f", {len(trajectory.stretched)} spans slowed" if trajectory.stretched else ""
-    errors_deg = {name: one.horn_error_max_deg or 0.0 for name, one in plain.joints.items()}
     return Verdict(
         joints=joints,
         keys=str(sum(len(keyframe.deg) for keyframe in made.sequence.keyframes)),
@@ -182,11 +179,9 @@ def verdict_of(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path)
         planned=f"{trajectory.duration_s:.3f}",
         moves_deg=max(program.error_max_deg.values()),
         bound_deg=max(program.bound_deg.values()),
-        simulated_deg=max(errors_deg.values()),
+        simulated_deg=max(one.horn_error_max_deg or 0.0 for one in plain.joints.values()),
         fed_back_deg=max(one.horn_error_max_deg or 0.0 for one in fed_back.joints.values()),
-        bound_ratio=max(
-            errors_deg[name] / (deg + LEAST_DEG) for name, deg in program.bound_deg.items()
-        ),
+        bound_ratio=max(bound_ratios(program, runs[1]).values()),
         feedback_ratio=fed_back_deg / plain_deg if plain_deg else 1.0,
         text=f"played{slowed}" if is_played else "not played",
     )

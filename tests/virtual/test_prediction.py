@@ -8,6 +8,7 @@ import pytest
 from motion_table import map_for, robot_for
 from msgspec.structs import replace
 
+from benches.in_phase import bound_ratios
 from lss_motion import api
 from lss_motion.interchange import imported, load_map, read_motion
 from lss_motion.perform import perform
@@ -17,8 +18,6 @@ from tests.virtual.conftest import make_robot, make_sequence
 
 ROOT = Path(__file__).resolve().parents[2]
 MOTIONS = ROOT.parent / "shared" / "motions"
-LEAST_DEG = 0.001
-"""A report rounds angles to this."""
 
 
 def errors_over_bounds(robot, trajectory, seed=0):
@@ -28,10 +27,8 @@ def errors_over_bounds(robot, trajectory, seed=0):
         program, robot, is_virtual=True, seed=seed, trajectory=trajectory, has_feedback=False
     )
     assert result.report.outcome == "finished"
-    return {
-        name: joint.horn_error_max_deg / (program.bound_deg[name] + LEAST_DEG)
-        for name, joint in result.report.joints.items()
-    }
+    assert result.report.joints.keys() == program.bound_deg.keys()
+    return bound_ratios(program, result)
 
 
 @pytest.mark.skipif(not MOTIONS.is_dir(), reason="the collection of real motions is not here")

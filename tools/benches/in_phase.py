@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 LOOPS_NS: Final = FILTER_NS
 """After so long all loops of a servo are where they were: the filter of EM0 has the longest."""
+ROUNDED_DEG: Final = 0.001
+"""A report rounds angles to this."""
 LEAST_NS: Final = 50 * NS_PER_MS
 """A show that was held begins no sooner."""
 
@@ -111,6 +113,15 @@ def horn_rms_deg(result: Result, trajectory: Trajectory) -> float:
     columns = [trajectory.joints.index(name) for name in truth.joints]
     error_deg = truth.horn_deg - trajectory.sample(truth.times_s)[:, columns]
     return float(np.sqrt(np.mean(error_deg**2)))
+
+
+def bound_ratios(program: Program, result: Result) -> dict[str, float]:
+    """Return by joint the largest error of its simulated horn over the bound of the program."""
+    joints = result.report.joints
+    return {
+        name: (joints[name].horn_error_max_deg or 0.0) / (bound_deg + ROUNDED_DEG)
+        for name, bound_deg in program.bound_deg.items()
+    }
 
 
 def limit_ratios(

@@ -27,7 +27,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 
 import numpy as np  # noqa: E402
 
-from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: E402
+from benches.in_phase import bound_ratios, limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import robot_of  # noqa: E402
 from lss_motion import api  # noqa: E402
 from lss_motion.errors import InputError  # noqa: E402
@@ -61,8 +61,6 @@ LIMIT_RATIO: Final = 1.1
 LIMIT_STREAMED: Final = 1.25
 """Setpoints have room for the steps of their units. Where gears have play, the shaft is hit, and no
 acceleration is judged."""
-ROUNDED_DEG: Final = 0.001
-"""A report rounds angles to this."""
 STEP_S: Final = 0.01
 SEEDS_LOST: Final = 3
 """Which commands are lost is luck, so several runs are judged together."""
@@ -305,11 +303,11 @@ def within_bounds(cases: Iterator[Case]) -> int:
             seed=case.seed,
             trajectory=case.trajectory,
         )
-        for name, bound_deg in program.bound_deg.items():
-            error_deg = result.report.joints[name].horn_error_max_deg or 0.0
-            ratios.append(error_deg / (bound_deg + ROUNDED_DEG))
-            if ratios[-1] > 1.0:
-                print(f"{case.seed} {name}: {error_deg:.3f} deg, bound {bound_deg:.3f}", flush=True)
+        for name, ratio in bound_ratios(program, result).items():
+            ratios.append(ratio)
+            if ratio > 1.0:
+                bound_deg = program.bound_deg[name]
+                print(f"{case.seed} {name}: {ratio:.3f} of its bound {bound_deg:.3f} deg")
     beyond = sum(ratio > 1.0 for ratio in ratios)
     print(
         f"{beyond} of {len(ratios)} joints beyond their bound; horns at {np.median(ratios):.2f} of "
