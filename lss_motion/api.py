@@ -1,24 +1,21 @@
 """The functions for users: load, plan, compile, play. `lss_motion` exports them."""
 
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lss_motion.connection import ask_limits, is_simulated, with_port
 from lss_motion.perform import perform
 from lss_motion.program.compile import compile_program as compile  # noqa: A004
+from lss_motion.program.model import Program
 from lss_motion.robot.load import load_robot
+from lss_motion.robot.model import Robot
+from lss_motion.runtime.report import Report
 from lss_motion.sequence import load as sequences
+from lss_motion.sequence.model import Sequence
 from lss_motion.trajectory.planner import plan
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from lss_motion.program.model import Program
-    from lss_motion.robot.model import Robot
-    from lss_motion.runtime.report import Report
-    from lss_motion.sequence.model import Sequence
 
 __all__ = [
     "ask_limits",

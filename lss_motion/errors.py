@@ -14,13 +14,12 @@ The errors from `BusError` on come from the port or the robot, those before it f
 arguments.
 """
 
+# ruff: noqa: TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+from collections.abc import Sequence
+from os import PathLike
+from typing import ClassVar
 
 EXIT_FINISHED = 0
 EXIT_INPUT = 2
@@ -48,7 +47,7 @@ class InputError(LssMotionError, ValueError):
         self,
         reason: str,
         *,
-        path: Path | str | None = None,
+        path: PathLike[str] | str | None = None,
         line: int | None = None,
         more: Sequence[InputError] = (),
     ) -> None:

@@ -10,6 +10,7 @@ their own settings again after it. When the block is left, by an exception too, 
 safe end.
 """
 
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import atexit
@@ -28,6 +29,7 @@ from lss_motion.player.player import Player
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command
+from lss_motion.robot.model import Robot
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
 
     from lss_motion.maintenance.hands_on import HandsOn
     from lss_motion.player.events import Event
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.model import Joint
     from lss_motion.runtime.runner import Controls
 
 T = TypeVar("T")

@@ -5,6 +5,7 @@ in order, until one fits the lines and leaves room for readings. The bytes of th
 verifier, or an error is raised.
 """
 
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import math
@@ -31,9 +32,10 @@ from lss_motion.program.schedule import (
     overload_error,
 )
 from lss_motion.program.verify import verify_program
+from lss_motion.robot.model import Robot
 from lss_motion.robot.profile import profile_lead_s
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
-from lss_motion.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan
+from lss_motion.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan, Trajectory
 from lss_motion.units import MS_PER_S, s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -42,8 +44,7 @@ if TYPE_CHECKING:
     from lss_motion.program.drives import Choice
     from lss_motion.program.line import LineUse
     from lss_motion.program.model import Move
-    from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.robot.model import Joint
 
 WRITTEN_PASSES: Final = 4
 """Passes of a long loop that are written; one of them is repeated. The first, two in the middle and

@@ -4,31 +4,29 @@ A `Program` never changes after it is compiled or read. The player sends its mov
 computes from the same moves what every servo will do.
 """
 
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import count
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from pathlib import Path
+from typing import Final, NamedTuple, TypeVar
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text, known_names
+from lss_motion.program.line import LineUse
 from lss_motion.protocol.framing import encode_move
+from lss_motion.robot.model import Drive, Joint, Robot
+from lss_motion.robot.on_fault import Escalations
+from lss_motion.sequence.model import Cue
+from lss_motion.trajectory.model import GivenUp, Mark, SlowSpan, WaitPoint
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from lss_motion.program.line import LineUse
-    from lss_motion.robot.model import Drive, Joint, Robot
-    from lss_motion.robot.on_fault import Escalations
-    from lss_motion.sequence.model import Cue
-    from lss_motion.trajectory.model import GivenUp, Mark, SlowSpan, WaitPoint
 
 T = TypeVar("T")
 

@@ -8,6 +8,7 @@ As a context manager the handle stops the show when the block is left, whatever 
 becomes of this process, the one that plays stops the show and makes the robot safe.
 """
 
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import contextlib
@@ -24,19 +25,19 @@ from msgspec import Struct
 from lss_motion.closing import Closing
 from lss_motion.connection import with_port
 from lss_motion.errors import BusError, InputError
+from lss_motion.program.model import Program
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.player_end import LossRule
 from lss_motion.remote.process import packed, start_process
 from lss_motion.remote.telemetry import Telemetry
+from lss_motion.robot.model import Robot
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from lss_motion.program.model import Program
     from lss_motion.remote.job import Outcome
-    from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
 
 STOP_S: Final = 30.0

@@ -4,8 +4,10 @@ Law: all problems of a file come in one `InputError`, each with its line. What c
 is left out of later checks, so that one mistake is reported once.
 """
 
+# ruff: noqa: TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
@@ -35,7 +37,7 @@ from lss_motion.robot.servo_models import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.figure import Vector
@@ -52,7 +54,6 @@ if TYPE_CHECKING:
     from lss_motion.robot.on_fault import Escalations
 
     Image = tuple[str, Literal[1, -1]]
-
 
 SIMULATED_PORT: Final = "sim://"
 """Several buses may have this port, since each has its own simulation; a real port has one bus."""

@@ -3,11 +3,14 @@
 They are immutable. `robot.load` makes them from files.
 """
 
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import math
 import shlex
-from typing import TYPE_CHECKING, ClassVar, Final, Literal
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import ClassVar, Final, Literal
 
 from msgspec import Struct, field
 
@@ -16,14 +19,8 @@ from lss_motion.files.source import Located, counted
 from lss_motion.protocol.codec import Language
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, UNITS, Units
-from lss_motion.robot.on_fault import DEFAULTS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
-
-    from lss_motion.robot.figure import Figure
-    from lss_motion.robot.on_fault import Cause, Escalations, FaultStep
+from lss_motion.robot.figure import Figure
+from lss_motion.robot.on_fault import DEFAULTS, Cause, Escalations, FaultStep
 
 FOLLOWING_DEG: Final = 10.0
 """Chosen: ten times the position error of a healthy joint, and small enough to avoid collisions."""
@@ -50,7 +47,6 @@ SERVO: Final = "servo"
 Drive = Literal["timed", "streamed", "stepped"]
 """How a joint is commanded (FACTS.md M1): `D…T…` in EM1; bare `D` through the filter of EM0; whole
 degrees to the RC servo of a 2IO."""
-
 
 Turns = Literal["by_hand", "powered"]
 """How the turn of a servo is known after power-up, where its range is more than one turn: a person

@@ -7,6 +7,7 @@ show, else of the robot, else of `DEFAULTS`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from lss_motion.files.source import known_names
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
 
 class Cause(StrEnum):
@@ -53,7 +54,7 @@ class FaultStep(StrEnum):
     """Switch this joint limp at once; `hold` for the others."""
 
 
-Escalations: TypeAlias = "Mapping[Cause, tuple[FaultStep, ...]]"
+Escalations: TypeAlias = Mapping[Cause, tuple[FaultStep, ...]]
 
 ENDING: Final = frozenset({FaultStep.HOLD, FaultStep.LIMP})
 """Steps that end the show, so no step can follow."""

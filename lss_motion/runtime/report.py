@@ -5,12 +5,14 @@
 order; a change of a name or of a meaning needs another `SCHEMA_VERSION`.
 """
 
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import itertools
 import json
 import math
 import re
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -18,22 +20,22 @@ from msgspec import Struct, to_builtins
 
 from lss_motion.files.output import write_output
 from lss_motion.files.source import counted
+from lss_motion.player.events import Faulted
 from lss_motion.player.lateness import Statistics
+from lss_motion.runtime.sound_choice import SoundReport
 from lss_motion.splines import polyline
+from lss_motion.trajectory.model import GivenUp, SlowSpan
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from lss_motion.player.events import Faulted
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
-    from lss_motion.runtime.sound_choice import SoundReport
-    from lss_motion.trajectory.model import GivenUp, SlowSpan
 
     Item = TypeVar("Item")
     FloatArray = NDArray[np.float64]

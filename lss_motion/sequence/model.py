@@ -3,20 +3,18 @@
 They are immutable. `sequence.load` makes them from files; `trajectory` plans them.
 """
 
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import TYPE_CHECKING, ClassVar, Final, Literal
+from pathlib import Path
+from typing import ClassVar, Final, Literal
 
 from msgspec import Struct, field
 
 from lss_motion.files.source import Located, counted
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from lss_motion.robot.on_fault import Escalations
+from lss_motion.robot.on_fault import Escalations
 
 KEYFRAMES_MAX: Final = 10_000
 """Chosen: hours of a lively show. The cost of planning grows with the count; an export that is far

@@ -4,27 +4,25 @@ A pass is a path and a clock that follows it (`PathMotion`), a part of another p
 or made of several trajectories (`tracks.ParallelPass`, `playlist.PlayListPass`).
 """
 
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text
+from lss_motion.robot.on_fault import Escalations
+from lss_motion.sequence.model import Cue, Sequence, Wait
 from lss_motion.splines import distinct
+from lss_motion.trajectory.path import Path
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from lss_motion.robot.on_fault import Escalations
-    from lss_motion.sequence.model import Cue, Sequence, Wait
-    from lss_motion.trajectory.path import Path
-
-    FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 
 JOINT_SECONDS_MAX: Final = 500_000
 """Seconds of a plan times its joints: seven hours of 18 joints. More takes minutes to verify, and

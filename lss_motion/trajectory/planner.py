@@ -3,26 +3,23 @@
 The modules that make plans are imported only when a plan is made.
 """
 
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import hashlib
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.robot.model import Robot
 from lss_motion.sequence.keyframes import at_speed
-from lss_motion.sequence.model import Timing
+from lss_motion.sequence.model import Sequence, Timing
 from lss_motion.trajectory.cues import planned_cues
 from lss_motion.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
 from lss_motion.trajectory.plan_cache import PLANNER_VERSION, cached
-
-if TYPE_CHECKING:
-    from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Sequence
-
 
 KEY_SLACK_DEG: Final = 1e-6
 """Rounding error of an angle at its key: far below the finest unit of a servo (0.01 deg)."""

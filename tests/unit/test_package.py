@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import pydoc
 import rlcompleter
 import subprocess
 import sys
+import typing
 from importlib import resources
 from pathlib import Path
 
@@ -36,6 +39,21 @@ def test_tab_completes_names_that_are_imported_on_first_use():
     assert "lss.load_robot(" in done.stdout
     assert "lss.load_sequence(" in done.stdout
     assert rlcompleter.Completer({"lss": lss}).complete("lss.no_such_name", 0) is None
+
+
+@pytest.mark.parametrize("name", lss.__all__)
+def test_the_help_of_a_public_name_can_be_shown(name):
+    value = getattr(lss, name)
+    assert name in pydoc.render_doc(value)
+    typing.get_type_hints(value)
+    if isinstance(value, type) and issubclass(value, Exception) and "__init__" not in vars(value):
+        return  # Python has no signature of an exception without an `__init__` of its own.
+    assert inspect.signature(value, eval_str=True) is not None
+
+
+def test_the_help_of_the_package_can_be_shown():
+    text = pydoc.render_doc(lss)
+    assert all(name in text for name in lss.__all__)
 
 
 def test_type_checkers_find_the_types():
