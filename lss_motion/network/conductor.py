@@ -21,7 +21,15 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
 from lss_motion.network.clocks import REFUSE_NS, WARN_NS
-from lss_motion.network.messages import PROTOCOL, Beat, NetworkLeg, Status, hash_of, packed
+from lss_motion.network.messages import (
+    EPOCHS_AHEAD,
+    PROTOCOL,
+    Beat,
+    NetworkLeg,
+    Status,
+    hash_of,
+    packed,
+)
 from lss_motion.player.following import RUNNING_RATE, SLOW_RATE, SPEED_STEP
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
@@ -83,6 +91,8 @@ class FigureSeat:
     is_twice_ns: int | None = None
     """When it was last seen that two processes serve it."""
     told_twice_ns: int | None = None
+    apart_ns: int | None = None
+    """Since when it says that it follows another conductor."""
 
     def is_twice(self, now_ns: int) -> bool:
         """Return whether two processes serve it, and answer in turn."""
@@ -135,6 +145,8 @@ class Conductor:
         """Whether the show stands until all robots are at the place of its leg."""
         self._refused = ""
         """The other conductor that was refused last."""
+        self._rival: tuple[str, int] | None = None
+        """A conductor that would take over, and when its first beat came."""
 
     # ---- what is sent
 
@@ -163,8 +175,11 @@ class Conductor:
         seat = self.seats.get(status.figure)
         if seat is None:
             return
-        if status.epoch >= self.epoch and status.follows not in ("", self.instance):
-            self._meet(status)
+        is_ours = status.epoch < self.epoch or status.follows in ("", self.instance)
+        if is_ours or status.epoch > self.epoch + EPOCHS_AHEAD:
+            seat.apart_ns = None
+        else:
+            self._meet(seat, status, now_ns)
         if seat.status is not None and seat.status.instance != status.instance:
             self._meet_process(seat, status.instance, now_ns)
         if status.text and seat.last_words.get(status.instance) != status.text:
@@ -184,11 +199,17 @@ class Conductor:
             seat.told_twice_ns = now_ns
             self._notes.append(f"figure {seat.name}: {TWICE}")
 
-    def _meet(self, status: Status) -> None:
-        """Begin a later epoch than that of the conductor before this one, or give way to it."""
+    def _meet(self, seat: FigureSeat, status: Status, now_ns: int) -> None:
+        """Begin a later epoch than that of the conductor before this one, or give way to it.
+
+        A show is given up only for what a figure says for `LOST_NS`: one message may be anyone's.
+        """
+        if seat.apart_ns is None:
+            seat.apart_ns = now_ns
+        is_sure = now_ns - seat.apart_ns >= LOST_NS
         if self.wanted != "armed":
             self.epoch = status.epoch + 1
-        elif status.epoch > self.epoch and not self.superseded:
+        elif status.epoch > self.epoch and is_sure and not self.superseded:
             self.superseded = (
                 f"figure {status.figure} follows a conductor that began later (epoch "
                 f"{status.epoch}, this one has {self.epoch}): this one conducts no more; end it, "
@@ -210,6 +231,8 @@ class Conductor:
         """
         if beat.instance == self.instance or self.superseded:
             return
+        if self._rival is None or self._rival[0] != beat.instance:
+            self._rival = (beat.instance, now_ns)
         if self.wanted == "armed" and self._is_followed(now_ns):
             if self._refused != beat.instance:
                 self._refused = beat.instance
@@ -218,7 +241,10 @@ class Conductor:
                     f"play what this one says; end the other one"
                 )
             return
-        if (beat.epoch, beat.instance) > (self.epoch, self.instance):
+        is_later = (beat.epoch, beat.instance) > (self.epoch, self.instance)
+        if not is_later or beat.epoch > self.epoch + EPOCHS_AHEAD:
+            return
+        if now_ns - self._rival[1] >= LOST_NS:
             self.superseded = (
                 f"another conductor ({beat.conductor}, epoch {beat.epoch}) conducts this stage: "
                 f"this one (epoch {self.epoch}) conducts no more"

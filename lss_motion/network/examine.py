@@ -161,7 +161,7 @@ class Examining:
 
     def _findings(self, name: str) -> Findings | None:
         found = self._host.findings.get(name)
-        return None if found is None or found.number < self._number else found
+        return None if found is None or found.number != self._number else found
 
     def _is_done(self, seat: FigureSeat, now_ns: int) -> bool:
         """Return whether nothing more is to be expected: a figure that plays examines nothing."""

@@ -23,6 +23,7 @@ from lss_motion.errors import InputError
 from lss_motion.network.conductor import LOST_NS
 from lss_motion.network.messages import (
     CAST_MAX_BYTES,
+    EPOCHS_AHEAD,
     PROTOCOL,
     Cast,
     Catalogue,
@@ -54,6 +55,12 @@ ARM_S: Final = 6.0
 moves to where the show will be. If that takes longer, the player rejoins later by itself."""
 
 
+COUNTS_AHEAD: Final = 256
+"""A beat whose count is further ahead of the last one is not of this conductor: it sends 10 in a
+second, and one a change, and without any for `LOST_NS` every count is taken."""
+NAMED_MAX: Final = 64
+"""Conductors that were refused, and texts about them, that are remembered, so that strangers do not
+fill the memory and the log of a figure."""
 KEPT_PLANS: Final = 16
 """So many verified plans are kept ready. Chosen: one of ten minutes with 18 joints has 3 MB."""
 SILENT_NS: Final = 5 * NS_PER_S
@@ -175,8 +182,8 @@ class Figure:
             return
         bound = self.beat
         is_new = bound is None or (bound.epoch, bound.instance) != (beat.epoch, beat.instance)
-        if not is_new and bound is not None and beat.count <= bound.count:
-            return  # It was overtaken by a newer one.
+        if not is_new and bound is not None and not self._is_next(beat, bound, now_ns):
+            return
         if is_new:
             self._rebind(beat)
         elif self._received_ns is not None and now_ns - self._received_ns > LOST_NS:
@@ -187,10 +194,19 @@ class Figure:
             self._is_stopped = self._is_held = False
             self._why = ""
             self._legs.clear()
-        if beat.leg is None:
-            self._legs.clear()
-        elif not self._legs or beat.leg.number > self._legs[-1].number:
+        last = self._legs[-1].number if self._legs else 0
+        if beat.leg is None or beat.leg.number < last:
+            self._legs.clear()  # Numbers rise: the last one was not of this conductor.
+        if beat.leg is not None and beat.leg.number != last:
             self._legs.append(beat.leg)
+
+    def _is_next(self, beat: Beat, bound: Beat, now_ns: int) -> bool:
+        """Return whether a beat is newer than the last one, by what can have happened since.
+
+        It may have been overtaken by a newer one; but not by more than `LOST_NS`.
+        """
+        is_fresh = self._received_ns is not None and now_ns - self._received_ns <= LOST_NS
+        return not is_fresh or bound.count < beat.count <= bound.count + COUNTS_AHEAD
 
     def take_stop(self, stop: StopAll) -> None:
         """Stop this run; the same message again changes nothing."""
@@ -322,6 +338,8 @@ class Figure:
         who = f"conductor {beat.conductor} (epoch {beat.epoch}, {beat.instance})"
         if beat.conductor != self.conductor:
             return f"{who} is refused: the stage file names {self.conductor}"
+        if beat.epoch > self.epoch + EPOCHS_AHEAD:
+            return f"{who} is refused: no conductor has begun so often"
         if beat.epoch < self.epoch:
             return f"{who} is refused: it is stale, a later one was followed (epoch {self.epoch})"
         bound = self.beat
@@ -339,7 +357,10 @@ class Figure:
         It begins a later epoch when it gets the state of this figure.
         """
         first_ns = self._passed_over_ns.setdefault(beat.instance, now_ns)
+        if len(self._passed_over_ns) > NAMED_MAX:
+            del self._passed_over_ns[next(iter(self._passed_over_ns))]
         is_ours = beat.protocol == PROTOCOL and beat.conductor == self.conductor
+        is_ours = is_ours and beat.epoch <= self.epoch
         return is_ours and self._is_lost(now_ns) and now_ns - first_ns < LOST_NS
 
     def _rebind(self, beat: Beat) -> None:
@@ -558,6 +579,6 @@ class Figure:
             actions.append(Fetch(name))
 
     def _note_once(self, text: str) -> None:
-        if text not in self._refused:
+        if text not in self._refused and len(self._refused) < NAMED_MAX:
             self._refused.add(text)
             self._notes.append(text)

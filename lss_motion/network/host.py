@@ -157,7 +157,8 @@ class Host:
         self._verified: deque[tuple[str, str | None]] = deque()
         """Plans with why they cannot be played; None: they are stored no more."""
         self._asks: deque[Ask] = deque(maxlen=ASKS_MAX)
-        self._asked: dict[str, tuple[str, int]] = {}
+        self._asked: dict[str, deque[tuple[str, int]]] = {}
+        """The wishes of each figure that were obeyed last: repeated ones are the same."""
         self._ask_count = 0
         self._stops_left = 0
         self._arming_ns: int | None = None
@@ -305,7 +306,7 @@ class Host:
             self._clock_of = self.figure.beat.instance  # Another process, perhaps computer.
             self.estimator = ClockEstimator()
         is_free = self.figure.player.phase in ("none", "ended", "failed")
-        if self._examine is not None and is_free and self._examined < beat.examines:
+        if self._examine is not None and is_free and beat.examines not in (0, self._examined):
             self._examined, self._found = beat.examines, None
             self.log("examines this computer and its servos")
             threading.Thread(target=self._run_examination, daemon=True).start()
@@ -328,9 +329,11 @@ class Host:
                 self.findings[parts[1]] = findings
         elif parts[2] == "ask":
             ask = parse(Ask, content)
-            last = self._asked.get(parts[1])
-            if last is None or last[0] != ask.instance or last[1] < ask.number:
-                self._asked[parts[1]] = (ask.instance, ask.number)
+            if parts[1] not in conductor.seats:
+                return
+            asked = self._asked.setdefault(parts[1], deque(maxlen=ASKS_MAX))
+            if (ask.instance, ask.number) not in asked:
+                asked.append((ask.instance, ask.number))
                 self._obey(ask, parts[1])
 
     def _obey(self, ask: Ask, figure: str) -> None:

@@ -34,6 +34,9 @@ MESSAGE_MAX_BYTES: Final = 16 * 1024
 """A longer message is none of ours; the longest, a `Status` with its texts, has about 1 kB."""
 CAST_MAX_BYTES: Final = 1 << 20
 TEXT_MAX_CHARS: Final = 400
+EPOCHS_AHEAD: Final = 100_000
+"""An epoch that is further ahead of the known one is none: every start of a conductor counts one,
+and this is one every five minutes for a year."""
 NAME_PATTERN: Final = r"^[A-Za-z][A-Za-z0-9_-]{0,31}$"
 """Names of stages and figures stand in keys and certificates."""
 

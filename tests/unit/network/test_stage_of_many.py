@@ -368,6 +368,69 @@ def forged(world, **changes):
     return Beat(**{**beat.model_dump(), "count": beat.count + 1000, **changes})
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"count": 10**9}, {"count": 40}, {"count": 10**9, "leg": "later"}, {"examines": 10**9}],
+    ids=["count", "near count", "leg", "examines"],
+)
+def test_one_forged_beat_does_not_deafen_a_figure(changes):
+    world = playing(show_s=60.0)
+    conductor, host = world.conductor, world.hosts["f1"]
+    if changes.get("leg") == "later":
+        changes = changes | {"leg": conductor.leg.model_copy(update={"number": 10**9})}
+    beat = conductor.beat()
+    count = beat.count + changes.get("count", 1)
+    host.figure.take_beat(beat.model_copy(update={**changes, "count": count}), host.now_ns())
+    world.run(1.5)
+    conductor.pause(world.now_ns)
+    world.run(2.0)
+    assert host.figure.beat.leg == conductor.leg
+    assert host.player.view.show_s == pytest.approx(conductor.leg.show_s, abs=1e-9)
+    conductor.stop()
+    assert world.run(2.0, lambda: host.figure.state == "stopped"), host.log
+
+
+@pytest.mark.parametrize("epoch", [2, 10**9, 1 << 61])
+def test_one_forged_status_does_not_supersede_a_conductor_whose_show_plays(epoch):
+    world = playing(show_s=60.0)
+    host = world.hosts["f1"]
+    status = host.figure.status(host.now_ns())
+    forged_one = status.model_copy(update={"epoch": epoch, "follows": "e" * 16})
+    world.conductor.take_status(forged_one, world.now_ns)
+    world.run(2.0)
+    assert world.conductor.superseded == ""
+    world.conductor.seek(3.0, world.now_ns)
+
+
+def test_a_forged_epoch_that_no_restarts_explain_is_refused_on_both_sides():
+    world = World(2, seed=3)
+    world.run(1.0)
+    host = world.hosts["f1"]
+    status = host.figure.status(host.now_ns())
+    forged_one = status.model_copy(update={"epoch": 1 << 61, "follows": "e" * 16})
+    world.conductor.take_status(forged_one, world.now_ns)
+    assert world.conductor.epoch == 1
+    world.is_conducting = False
+    world.run(3.0)
+    later = forged(world, instance="f" * 16, epoch=1 << 61)
+    host.figure.take_beat(later, host.now_ns())
+    assert host.figure.epoch == 1
+    assert "no conductor has begun so often" in " ".join(host.figure.take_notes())
+
+
+def test_strangers_do_not_fill_the_memory_of_a_figure():
+    world = playing(show_s=60.0)
+    host = world.hosts["f1"]
+    world.is_conducting = False
+    world.run(3.0)
+    for number in range(3000):
+        stale = forged(world, instance=f"{number:016x}", epoch=1)
+        host.figure.take_beat(stale, host.now_ns())
+        world.run(0.01)
+    kept = host.figure._passed_over_ns, host.figure._refused
+    assert max(map(len, kept)) <= 64
+
+
 def test_second_and_stale_conductors_are_refused():
     world = playing()
     host = world.hosts["f1"]
