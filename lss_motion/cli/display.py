@@ -1,23 +1,23 @@
 """The live display: a process of its own, so that drawing never delays a command.
 
-`Display` runs in the process of the player. It writes ten frames a second, one JSON object a line,
-to the standard input of `python -m lss_motion.cli.display`. It skips frames while the pipe is full.
+`Display` runs in the process of the player. It sends ten frames a second to a process of its own
+(`main`), and skips frames while the pipe to that is full.
 """
 
 from __future__ import annotations
 
 import bisect
-import contextlib
-import json
 import math
-import os
-import subprocess
-import sys
 from typing import TYPE_CHECKING, Any, Final, Literal
+
+from msgspec import Struct
 
 from lss_motion.cli.terminal import KEYS_HELP
 from lss_motion.player.events import Phase
 from lss_motion.runtime.real_time import lower_priority
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.process import ChildProcess
+from lss_motion.system.reactor import serve
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
+    from lss_motion.system.messages import MessagePipe
 
 FRAME_NS: Final = NS_PER_S // 10
 ROOM_NS: Final = 3 * NS_PER_MS
@@ -48,6 +49,31 @@ CLOSE_S: Final = 2.0
 """After this time without progress, the display process is killed."""
 
 
+class DisplayFrame(Struct, frozen=True, tag=True):
+    """What the display shows of a run at one instant."""
+
+    phase: str
+    name: str
+    port: str
+    show_s: float | None
+    whole_s: float | None
+    is_endless: bool
+    rate: float
+    late_us: int
+    missed: int
+    buses: dict[str, tuple[float, float]]
+    """For each bus the share of its capacity that was sent, and the replies a second."""
+    joints: list[list[Any]]
+    """For each joint the columns `TITLES`; before the correction, the error that is allowed."""
+    marks: list[tuple[float, str]]
+
+
+class Notes(Struct, frozen=True, tag=True):
+    """Lines for a person, shown with the next frame."""
+
+    texts: list[str]
+
+
 class Display:
     """The end in the player's process: writes frames and never waits.
 
@@ -60,9 +86,7 @@ class Display:
     ) -> None:
         self._keys_help = keys_help
         self._print_line = print_line
-        self._child: subprocess.Popen[bytes] | None = None
-        self._pipe_fd = -1
-        self._rest = b""
+        self._child: ChildProcess[None] | None = None
         self._next_ns = 0
         self._notes: list[str] = []
         self._history = FrameHistory()
@@ -81,35 +105,19 @@ class Display:
         if player.is_due_within(ROOM_NS, now_ns) and now_ns < self._next_ns + FRAME_NS:
             return
         if self._child is None:
-            self._begin()
+            self._child = ChildProcess(__name__, self._keys_help)
         self._next_ns = now_ns + FRAME_NS
-        if not self._rest:
-            frame = frame_of(player, now_ns, self._notes, self._history)
+        self._child.pipe.flush()
+        if not self._child.pipe.is_full:
+            self._child.send(Notes(self._notes))
+            self._child.send(frame_of(player, now_ns, self._history))
             self._notes = []
-            self._rest = json.dumps(frame, separators=(",", ":")).encode() + b"\n"
-        with contextlib.suppress(BlockingIOError, BrokenPipeError):
-            self._rest = self._rest[os.write(self._pipe_fd, self._rest) :]
-
-    def _begin(self) -> None:
-        self._child = subprocess.Popen(  # noqa: S603  (fixed arguments)
-            [sys.executable, "-P", "-m", "lss_motion.cli.display", self._keys_help],
-            stdin=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C must reach the player only.
-        )
-        assert self._child.stdin is not None
-        self._pipe_fd = self._child.stdin.fileno()
-        os.set_blocking(self._pipe_fd, False)
 
     def close(self) -> None:
         """Write the notes since the last frame, and clear the screen."""
-        if self._child is None:
-            return
-        last = json.dumps({"notes": self._notes}).encode() + b"\n"
-        try:
-            self._child.communicate(self._rest + last, timeout=CLOSE_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.communicate()
+        if self._child is not None:
+            self._child.send(Notes(self._notes))
+            self._child.end(CLOSE_S)
 
 
 class FrameHistory:
@@ -153,29 +161,26 @@ def _shown_s(program: Program, show_s: float) -> float:
     return program.within(show_s) if program.is_endless else show_s
 
 
-def frame_of(
-    player: Player, now_ns: int, notes: list[str], history: FrameHistory
-) -> dict[str, Any]:
-    """Return what the display shows of a run at this instant, as values for JSON."""
+def frame_of(player: Player, now_ns: int, history: FrameHistory) -> DisplayFrame:
+    """Return what the display shows of a run at this instant."""
     show, program = player.show, player.program
     latest_ns = show.statistics.latest_ns if show is not None else ()
     whole_s = program.pass_s if program.is_endless else program.duration_s
     is_standing = player.is_paused and player.phase is Phase.SHOW
-    return {
-        "phase": PAUSED if is_standing else player.phase.value,
-        "name": program.name,
-        "port": ", ".join(sorted({line.bus.port for line in player.lines.values()})),
-        "show_s": None if show is None else round(_shown_s(program, show.show_s(now_ns)), 2),
-        "whole_s": None if math.isinf(whole_s) else round(whole_s, 2),
-        "is_endless": program.is_endless,
-        "rate": 1.0 if show is None else round(show.clock.rate(now_ns), 2),
-        "late_us": max(latest_ns, default=0) // NS_PER_US,
-        "missed": 0 if show is None else show.statistics.missed,
-        "buses": history.bus_use(player, now_ns),
-        "joints": [_joint(track, now_ns) for track in show.joint_states.values()] if show else [],
-        "marks": history.marks_around(player, now_ns),
-        "notes": notes,
-    }
+    return DisplayFrame(
+        phase=PAUSED if is_standing else player.phase.value,
+        name=program.name,
+        port=", ".join(sorted({line.bus.port for line in player.lines.values()})),
+        show_s=None if show is None else round(_shown_s(program, show.show_s(now_ns)), 2),
+        whole_s=None if math.isinf(whole_s) else round(whole_s, 2),
+        is_endless=program.is_endless,
+        rate=1.0 if show is None else round(show.clock.rate(now_ns), 2),
+        late_us=max(latest_ns, default=0) // NS_PER_US,
+        missed=0 if show is None else show.statistics.missed,
+        buses=history.bus_use(player, now_ns),
+        joints=[_joint(track, now_ns) for track in show.joint_states.values()] if show else [],
+        marks=history.marks_around(player, now_ns),
+    )
 
 
 def _joint(track: JointState, now_ns: int) -> list[Any]:
@@ -198,7 +203,7 @@ def _joint(track: JointState, now_ns: int) -> list[Any]:
     ]
 
 
-def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int) -> RenderableType:
+def rendered(frame: DisplayFrame, notes: list[str], keys_help: str, width: int) -> RenderableType:
     """Return a frame for rich. The most important lines are on top, for terminals with few rows.
 
     A table wider than `width` characters loses columns, the least important ones first.
@@ -208,23 +213,23 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int
     from rich.progress_bar import ProgressBar
     from rich.text import Text
 
-    show_s, whole_s = frame["show_s"] or 0.0, frame["whole_s"]
-    head = f"{frame['name']} on {frame['port']}  {frame['phase']}"
+    show_s, whole_s = frame.show_s or 0.0, frame.whole_s
+    head = f"{frame.name} on {frame.port}  {frame.phase}"
     head += f"  {max(show_s, 0.0):.1f}" + (f" of {whole_s:.1f} s" if whole_s else " s")
-    head += ", repeated" if frame["is_endless"] else ""
-    if frame["phase"] != PAUSED:
-        head += f"  speed {frame['rate']:.0%}" + (" (full)" if frame["rate"] == 1.0 else "")
+    head += ", repeated" if frame.is_endless else ""
+    if frame.phase != PAUSED:
+        head += f"  speed {frame.rate:.0%}" + (" (full)" if frame.rate == 1.0 else "")
     total_s = whole_s or max(show_s, 1.0)
     bar = ProgressBar(total=total_s, completed=min(max(show_s, 0.0), total_s), width=BAR_CHARS)
     marks = Text()
-    for at_s, label in frame["marks"]:
+    for at_s, label in frame.marks:
         style = "bold green" if at_s <= show_s else ""
         marks.append(f"{label} {at_s:.1f} s", style=style).append("   ")
     used = ", ".join(
         f"{bus} {share:.0%} sent, {replies_hz} replies/s"
-        for bus, (share, replies_hz) in frame["buses"].items()
+        for bus, (share, replies_hz) in frame.buses.items()
     )
-    timing = f"late {frame['late_us'] / US_PER_MS:.1f} ms at most"
+    timing = f"late {frame.late_us / US_PER_MS:.1f} ms at most"
     shown = [_note_text(note) for note in notes[-NOTES_SHOWN:]]
     return Group(
         Text(head, style="bold"),
@@ -232,11 +237,11 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int
         Padding(bar, (0, 0, 0, 0)),
         marks,
         Text(f"{used}   {timing}").append(
-            f"   {frame['missed']} missed", style="bold red" if frame["missed"] else ""
+            f"   {frame.missed} missed", style="bold red" if frame.missed else ""
         ),
         Text(keys_help, style="dim"),
         *shown,
-        _table(frame["joints"], width),
+        _table(frame.joints, width),
     )
 
 
@@ -283,26 +288,26 @@ def _table(joints: list[list[Any]], width: int) -> Table:
     return table
 
 
-def main() -> int:
-    """Draw the frames of standard input until it ends."""
+def main(pipe: MessagePipe, keys_help: str) -> int:
+    """Draw the frames that arrive until the pipe ends."""
     lower_priority()
     from rich.console import Console
     from rich.live import Live
 
     notes: list[str] = []
     console = Console(stderr=True)
+    typed: TypedPipe[DisplayFrame | Notes] = TypedPipe(pipe, DisplayFrame | Notes)
     with Live(console=console, auto_refresh=False, transient=True) as live:
-        for line in sys.stdin:
-            frame = json.loads(line)
-            for note in frame["notes"]:
+
+        def draw(message: DisplayFrame | Notes) -> None:
+            if isinstance(message, DisplayFrame):
+                live.update(rendered(message, notes, keys_help, console.width), refresh=True)
+                return
+            for note in message.texts:
                 if is_trouble(note):
                     console.print(_note_text(note))  # Above the frame, to stay.
                 else:
                     notes.append(note)
-            if "phase" in frame:
-                live.update(rendered(frame, notes, sys.argv[1], console.width), refresh=True)
+
+        serve(typed, draw)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

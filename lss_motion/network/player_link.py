@@ -25,12 +25,12 @@ from lss_motion.player.events import Phase
 from lss_motion.player.following import SLOW_RATE, FollowRule
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.player_end import LossRule
 from lss_motion.remote.process import begin_process, give_job, packed
 from lss_motion.remote.telemetry import Telemetry
 from lss_motion.robot.on_fault import Cause
 from lss_motion.runtime.sound_choice import SoundChoice
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class PlayerLink:
             freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE, goes_to_it=True
         )
         self._process: subprocess.Popen[bytes] | None = None
-        self._link: Link | None = None
+        self._link: MessagePipe | None = None
         self._spare: tuple[subprocess.Popen[bytes], socket.socket] | None = None
         """The next player, which waits for its job."""
         self._view = PlayerView()
@@ -130,7 +130,7 @@ class PlayerLink:
             return
         self._process, end = self._take_spare()
         give_job(end, job, options={"start_s": start_s or None})
-        self._link = Link(end)
+        self._link = MessagePipe(end)
         self._link.set_blocking(is_blocking=False)
         self._phase, self._show_s, self._first_ns = "", None, None
         self._cause, self._hottest_c, self._late_us = "", None, None
@@ -172,7 +172,7 @@ class PlayerLink:
         try:
             for kind, content in link.receive():
                 self._take(kind, content)
-        except BrokenLinkError:
+        except PipeClosedError:
             self._gone()
             return self._view
         if self._view.phase in ("ended", "failed"):

@@ -24,12 +24,12 @@ from lss_motion.network.host import TURN_S
 from lss_motion.network.plans import SEPARATOR
 from lss_motion.network.serving import host_for
 from lss_motion.remote import schema as m
-from lss_motion.remote.link import Kind
 from lss_motion.remote.player_end import LossRule
 from lss_motion.stage.job import StageOutcome, StageSteering
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.records import must_restart
 from lss_motion.stage.timecode import OwnSource, StageTimecode, spec_of
+from lss_motion.system.messages import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,7 +9,6 @@ are kept, up to a bound.
 |----------------|----------------------------------------------------------|--------------------|
 | `schema`       | operations and events: the one schema                    | all below, `cli` |
 | `telemetry`    | where every joint is, as bytes; the hash of a plan       | `schema`, both ends |
-| `link`         | messages over a stream socket, without waiting           | both ends |
 | `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end` |
 | `player_end`   | a show: applies operations, sends what happens           | `job` |
 | `guided`       | calibrate and identify, led by questions                 | `live_end` |

@@ -28,11 +28,11 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.program.model import Program
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.player_end import LossRule
 from lss_motion.remote.process import packed, start_process
 from lss_motion.remote.telemetry import Telemetry
 from lss_motion.robot.model import Robot
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -128,7 +128,7 @@ class Handle(Closing):
         self.phase = "connecting"
         """The phase of the player, by the names of `player.events.Phase`."""
         self._process, self._socket = start_process(packed(job))
-        self._link = Link(self._socket)
+        self._link = MessagePipe(self._socket)
         # A handle that is forgotten goes on playing; the end of this process ends the show.
         self._listener = threading.Thread(target=self._listen, name="lss-handle", daemon=True)
         self._listener.start()
@@ -275,7 +275,7 @@ class Handle(Closing):
     def _listen(self) -> None:
         """Take what the player sends until it ends."""
         try:
-            with contextlib.suppress(BrokenLinkError, OSError):
+            with contextlib.suppress(PipeClosedError, OSError):
                 while True:
                     for kind, content in self._link.receive():
                         self._take(kind, content)

@@ -6,17 +6,22 @@ bounded number of bytes, and what finds no room is counted or dropped.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.remote import schema as m
-from lss_motion.remote.link import TURN_MAX_BYTES, BrokenLinkError, Kind
+from lss_motion.system.messages import Kind, PipeClosedError
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.remote.link import Link
+    from lss_motion.system.messages import MessagePipe
+
+
+TURN_MAX_BYTES: Final = 4096
+"""So much is read in one turn of the player: a client that floods it costs no more time than
+that (a few microseconds); the rest waits in the socket, and then in the client."""
 
 
 class Operator:
@@ -28,9 +33,9 @@ class Operator:
 
     def __init__(
         self,
-        link: Link,
+        link: MessagePipe,
         *,
-        stops: Link | None = None,
+        stops: MessagePipe | None = None,
         is_orphan: Callable[[], bool] = lambda: False,
     ) -> None:
         self.link = link
@@ -105,7 +110,7 @@ class Operator:
             return []
         try:
             arrived = self.link.receive(TURN_MAX_BYTES)
-        except BrokenLinkError:
+        except PipeClosedError:
             self.is_cut = True
             return []
         operations: list[m.AnyOperation] = []
@@ -131,7 +136,7 @@ class Operator:
             return []
         try:
             arrived = self._stops.receive(TURN_MAX_BYTES)
-        except BrokenLinkError:
+        except PipeClosedError:
             self._stops = None
             return []
         found = [m.parse_operation(content) for kind, content in arrived if kind is Kind.OPERATION]

@@ -18,8 +18,8 @@ from lss_motion.player.events import Phase
 from lss_motion.player.show_clock import Leg
 from lss_motion.protocol.constants import Led
 from lss_motion.remote import schema as m
-from lss_motion.remote.link import Kind
 from lss_motion.remote.telemetry import Telemetry
+from lss_motion.system.messages import Kind
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 
 if TYPE_CHECKING:

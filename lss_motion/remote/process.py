@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from msgspec.structs import replace
 
-from lss_motion.remote.link import Kind, Link
 from lss_motion.remote.operator_end import Operator
+from lss_motion.system.messages import Kind, MessagePipe
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -112,7 +112,7 @@ def main() -> int:
     job = _job(ends[0])
     if job is None:
         return 0
-    links = [Link(end) for end in ends]
+    links = [MessagePipe(end) for end in ends]
     link, stops = links[0], links[1] if len(links) > 1 else None
     for one in links:
         one.set_blocking(is_blocking=False)

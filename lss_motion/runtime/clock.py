@@ -6,11 +6,10 @@ in real time, and an hour of it in virtual time within seconds.
 
 from __future__ import annotations
 
-import select
-import sys
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
+from lss_motion.system.reactor import wait_for
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
@@ -50,10 +49,7 @@ class MonotonicClock:
         """Wait, for `WAIT_MAX_NS` at most."""
         now_ns = self.now_ns()
         left_s = max(0.0, s_from_ns(min(instant_ns, now_ns + WAIT_MAX_NS) - now_ns))
-        if filenos or sys.platform != "win32":
-            select.select(filenos, [], [], left_s)
-        else:  # Windows refuses a select without sockets.
-            time.sleep(left_s)  # noqa: TID251 (the one place that waits)
+        wait_for(filenos, left_s)
 
 
 class VirtualClock:

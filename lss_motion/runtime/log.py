@@ -22,22 +22,23 @@ lost, because the disk was too slow. `#` the end; a log without it was cut off.
 These lines are enough to repeat the decisions of the player (`runtime.replay`).
 
 The file is written by a process of its own, for which the player never waits and which survives
-when the player is killed. It runs as `python -m lss_motion.runtime.log FILE`.
+when the player is killed (`main`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec import Struct
+
 from lss_motion.files.output import write_output
 from lss_motion.runtime.real_time import lower_priority
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.process import ChildProcess
+from lss_motion.system.reactor import serve
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from lss_motion.player.events import Event
+    from lss_motion.system.messages import MessagePipe
 
 FIRST_LINE: Final = "# lss_motion log 2"
 HELD_MAX_BYTES: Final = 4 * 1024 * 1024
@@ -53,6 +55,12 @@ PORTION_BYTES: Final = 4096
 FLUSH_NS: Final = 100 * NS_PER_MS
 """Older lines than this have been handed to the writing process."""
 CLOSE_S: Final = 10.0
+
+
+class LogFailed(Struct, frozen=True):
+    """Why the writing process could not write everything."""
+
+    text: str
 
 
 class ByteLog:
@@ -73,15 +81,10 @@ class ByteLog:
         head = FIRST_LINE + "\n" + (f"# played: {json.dumps(played)}\n" if played else "")
         write_output(path, head)
         self._held = bytearray()
-        self._child = subprocess.Popen(  # noqa: S603  our own program
-            [sys.executable, "-P", "-m", "lss_motion.runtime.log", str(path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
+        self._child: ChildProcess[LogFailed] = ChildProcess(
+            __name__, str(path), receives=LogFailed, outbox_max_bytes=HELD_MAX_BYTES
         )
-        assert self._child.stdin is not None
-        self._pipe_fd = self._child.stdin.fileno()
-        os.set_blocking(self._pipe_fd, may_wait)
+        self._child.pipe.set_blocking(is_blocking=may_wait)
 
     def started(self, start_ns: int) -> ByteLog:
         """Count the seconds from `start_ns`."""
@@ -112,18 +115,24 @@ class ByteLog:
 
     def _line(self, text: str, now_ns: int) -> None:
         self._last_ns = now_ns
-        if len(self._held) > HELD_MAX_BYTES:
+        if len(self._held) >= PORTION_BYTES and not self._hand_over():
             self._lost += 1
-        else:
-            seconds, left_ns = divmod(now_ns - self._start_ns, NS_PER_S)
-            if self._lost:
-                text = f"- ? {self._lost} lines lost\n{seconds}.{left_ns:09d} {text}"
-                self._lost = 0
-            self._held += f"{seconds}.{left_ns:09d} {text}\n".encode("ascii")
+            return
+        seconds, left_ns = divmod(now_ns - self._start_ns, NS_PER_S)
+        if self._lost:
+            text = f"- ? {self._lost} lines lost\n{seconds}.{left_ns:09d} {text}"
+            self._lost = 0
+        self._held += f"{seconds}.{left_ns:09d} {text}\n".encode("ascii")
         if len(self._held) >= PORTION_BYTES or now_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = now_ns
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):
-                del self._held[: os.write(self._pipe_fd, self._held)]
+            self._hand_over()
+
+    def _hand_over(self) -> bool:
+        """Give the writing process what is held; return whether it has room for that."""
+        if not self._child.send_data(bytes(self._held)):
+            return False
+        self._held.clear()
+        return True
 
     @contextlib.contextmanager
     def reporting_to(self, problems: list[str]) -> Iterator[ByteLog]:
@@ -145,17 +154,14 @@ class ByteLog:
         trace: TracebackType | None,
     ) -> None:
         """Wait until everything is in the file, for `CLOSE_S` at most."""
+        self._child.pipe.set_blocking(is_blocking=False)
         self._line("- #", self._last_ns)
-        reason = b""
-        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-            os.set_blocking(self._pipe_fd, True)
-            reason, _ = self._child.communicate(bytes(self._held), timeout=CLOSE_S)
-        if self._child.poll() is None:
-            self._child.kill()
-            self._child.communicate()
-            reason = b"the disk is too slow"
-        if self._child.returncode:
-            why = reason.decode("utf-8", "replace") or "the process that writes it has ended"
+        self._child.send_data(bytes(self._held), is_last=True)
+        reasons: list[LogFailed] = []
+        code = self._child.end(CLOSE_S, reasons.append)
+        if code != 0:
+            why = "the disk is too slow" if code is None else "the process that writes it has ended"
+            why = next((one.text for one in reasons), why)
             self.problem = f"{self._path}: the log is not complete: {why}"
 
 
@@ -163,28 +169,27 @@ def _escaped(text: str) -> str:
     return text.encode("unicode_escape").decode("ascii")
 
 
-def main() -> int:
-    """Copy standard input to the end of a file until it ends.
+def main(pipe: MessagePipe, path: str) -> int:
+    """Append what arrives to a file until the pipe ends.
 
-    When the file takes no more, print the reason and drop the rest: a log with a gap would mislead.
+    When the file takes no more, report the reason and drop the rest: a log with a gap would
+    mislead.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
     lower_priority()
-    reason = ""
+    typed: TypedPipe[bytes] = TypedPipe(pipe, Any)
+    problem: OSError | None = None
     try:
-        with Path(sys.argv[1]).open("ab", buffering=0) as file:
-            while chunk := os.read(0, 1 << 16):
+        with Path(path).open("ab", buffering=0) as file:
+
+            def append(chunk: bytes) -> None:
                 while chunk:
                     chunk = chunk[file.write(chunk) :]
+
+            serve(typed, append)
     except OSError as error:
-        reason = error.strerror or str(error)
-        while os.read(0, 1 << 16):
-            pass
-    with contextlib.suppress(OSError):
-        os.write(1, reason.encode())
-    return 1 if reason else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        problem = error
+        serve(typed, lambda _: None)
+    if problem is None:
+        return 0
+    typed.send(LogFailed(text=problem.strerror or str(problem)))
+    return 1

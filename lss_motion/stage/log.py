@@ -6,25 +6,25 @@ A night is a few hundred kilobytes. Files begin anew each day and at a bounded s
 are deleted, so that the folder has at most `max_bytes`. A disk that is full loses lines, not
 shows; the first line after it says how many.
 
-`Writer` writes. `StageLog` hands lines to a process of its own, for which the player never waits
-(`python -m lss_motion.stage.log FOLDER MAX_BYTES`); in virtual time it writes itself. `Ring` keeps
-the last seconds of bytes in memory; at a fault they become a file that `lss-motion replay` shows.
+`Writer` writes. `StageLog` hands records to a process of its own (`main`), for which the player
+never waits; in virtual time it writes itself. `Ring` keeps the last seconds of bytes in memory; at
+a fault they become a file that `lss-motion replay` shows.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import signal
-import subprocess
-import sys
 from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec import Struct
+
 from lss_motion.runtime.log import FIRST_LINE
 from lss_motion.runtime.real_time import lower_priority
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.process import ChildProcess
+from lss_motion.system.reactor import serve
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.events import Event
     from lss_motion.stage.model import LogRule
+    from lss_motion.system.messages import MessagePipe
 
 PREFIX: Final = "stage-"
 FAULT_PREFIX: Final = "fault-"
@@ -45,6 +46,12 @@ RING_MAX_BYTES: Final = 1024 * 1024
 """Chosen: two minutes of three busy joints; of more joints, fewer seconds."""
 
 CLOSE_S: Final = 10.0
+
+
+class Record(Struct, frozen=True):
+    """What is handed to the process that writes: a line of JSON, or a file of its own."""
+
+    values: dict[str, Any]
 
 
 class Writer:
@@ -131,57 +138,38 @@ class StageLog:
 
     def __init__(self, rule: LogRule, *, is_virtual: bool = False) -> None:
         self._writer = Writer(rule.folder, rule.max_bytes) if is_virtual else None
-        self._held = bytearray()
         self._lost = 0
-        self._child: subprocess.Popen[bytes] | None = None
+        self._child: ChildProcess[None] | None = None
         if not is_virtual:
-            self._child = subprocess.Popen(  # noqa: S603  our own program
-                [
-                    *(sys.executable, "-P", "-m", "lss_motion.stage.log"),
-                    *(str(rule.folder.absolute()), str(rule.max_bytes)),
-                ],
-                stdin=subprocess.PIPE,
-                start_new_session=True,
-            )
-            assert self._child.stdin is not None
-            os.set_blocking(self._child.stdin.fileno(), False)
+            folder, max_bytes = str(rule.folder.absolute()), str(rule.max_bytes)
+            self._child = ChildProcess(__name__, folder, max_bytes, outbox_max_bytes=HELD_MAX_BYTES)
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Keep a record."""
         if self._writer is not None:
             self._writer.write(record)
-            return
-        data = (json.dumps(record, ensure_ascii=False) + "\n").encode()
-        if len(self._held) + len(data) > HELD_MAX_BYTES:
-            self._lost += 1
+        if self._child is None:
             return
         if self._lost and "t" in record:
             text = f"{self._lost} lines were lost: the disk was too slow"
             lost = {"t": record["t"], "kind": "lost", "text": text, "count": self._lost}
-            self._held += (json.dumps(lost) + "\n").encode()
-            self._lost = 0
-        self._held += data
-        self.flush()
+            if self._child.send(Record(lost)):
+                self._lost = 0
+        if not self._child.send(Record(dict(record))):
+            self._lost += 1
 
     def flush(self) -> None:
         """Hand over what the process takes now."""
-        if self._held and self._child is not None and self._child.stdin is not None:
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):
-                del self._held[: os.write(self._child.stdin.fileno(), self._held)]
+        if self._child is not None:
+            self._child.pipe.flush()
 
     def __enter__(self) -> StageLog:
         return self
 
     def __exit__(self, *_: object) -> None:
         """Wait until everything is written, for `CLOSE_S` at most."""
-        if self._child is None or self._child.stdin is None:
-            return
-        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-            os.set_blocking(self._child.stdin.fileno(), True)
-            self._child.communicate(bytes(self._held), timeout=CLOSE_S)
-        if self._child.poll() is None:
-            self._child.kill()
-            self._child.wait()
+        if self._child is not None:
+            self._child.end(CLOSE_S)
 
 
 class Ring:
@@ -238,17 +226,10 @@ def _escaped(text: str) -> str:
     return text.encode("unicode_escape").decode("ascii")
 
 
-def main() -> int:
-    """Write the records of standard input to a folder until it ends."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+def main(pipe: MessagePipe, folder: str, max_bytes: str) -> int:
+    """Write the records that arrive to a folder until the pipe ends."""
     lower_priority()
-    writer = Writer(Path(sys.argv[1]), int(sys.argv[2]))
-    for line in sys.stdin.buffer:
-        with contextlib.suppress(ValueError):
-            writer.write(json.loads(line))
+    writer = Writer(Path(folder), int(max_bytes))
+    typed: TypedPipe[Record] = TypedPipe(pipe, Record)
+    serve(typed, lambda record: writer.write(record.values))
     return 1 if writer.lost else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import read_data
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -341,7 +341,7 @@ def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
 
 def main() -> int:
     """Answer requests until the other end closes; return an exit code."""
-    link = Link(socket.socket(fileno=int(sys.argv[1])))
+    link = MessagePipe(socket.socket(fileno=int(sys.argv[1])))
     try:
         while True:
             requests = link.receive()
@@ -354,7 +354,7 @@ def main() -> int:
                 link.send(Kind.OBJECT, pickle.dumps(reply_to(request)))
             while link.is_full and not link.is_closed:
                 link.flush()
-    except (BrokenLinkError, KeyboardInterrupt):
+    except (PipeClosedError, KeyboardInterrupt):
         return 0
 
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.studio.planner import Reply, Request
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ class Planner:
     def __init__(self, on_reply: Callable[[Reply], None]) -> None:
         self._on_reply = on_reply
         self._process: subprocess.Popen[bytes] | None = None
-        self._link: Link | None = None
+        self._link: MessagePipe | None = None
         self._wanted: Request | None = None
         """The newest request, until it is answered."""
         self._number = self._failures = 0
@@ -99,14 +99,14 @@ class Planner:
         own.setblocking(False)  # noqa: FBT003
         with other:
             self._process = start_module("lss_motion.studio.planner", [other.fileno()])
-        self._link = Link(own)
+        self._link = MessagePipe(own)
         asyncio.get_running_loop().add_reader(own.fileno(), self._read)
 
     def _read(self) -> None:
         assert self._link is not None
         try:
             arrived = self._link.receive()
-        except BrokenLinkError:
+        except PipeClosedError:
             self._end()
             self._after_death()
             return

@@ -12,8 +12,8 @@ import socket
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.remote import schema as m
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.process import start_process
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,7 +60,7 @@ class PlayerProcess:
         with players_end:
             self._process, own = start_process(job, players_end, rule=rule, options=options)
         own.setblocking(False)  # noqa: FBT003
-        self._link = Link(own)
+        self._link = MessagePipe(own)
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(own.fileno(), self._read)
         self._timer = self._loop.call_later(BEAT_S, self._beat)
@@ -84,7 +84,7 @@ class PlayerProcess:
     def _read(self) -> None:
         try:
             arrived = self._link.receive()
-        except BrokenLinkError:
+        except PipeClosedError:
             self._end()
             return
         for kind, content in arrived:

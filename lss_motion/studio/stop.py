@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
 
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.schema import Estop, Stop
 from lss_motion.studio.access import Denied, Door, Purpose, asked_of, decide
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -60,7 +60,7 @@ class Stopper:
         self._control: socket.socket | None = control
         self._inbox = b""
         self._ends: list[int] = []
-        self._links: list[Link] = []
+        self._links: list[MessagePipe] = []
         self._on_end = on_end
         asyncio.get_running_loop().add_reader(control.fileno(), self._read)
 
@@ -108,17 +108,17 @@ class Stopper:
 
     def _take(self, end: socket.socket) -> None:
         end.setblocking(False)  # noqa: FBT003
-        link = Link(end)
+        link = MessagePipe(end)
         self._links.append(link)
         asyncio.get_running_loop().add_reader(link.fileno(), self._watch, link)
         if self.latch is not None:
             _send(link, self.latch)
 
-    def _watch(self, link: Link) -> None:
+    def _watch(self, link: MessagePipe) -> None:
         """Drop the link of a player that has ended."""
         try:
             link.receive()
-        except BrokenLinkError:
+        except PipeClosedError:
             asyncio.get_running_loop().remove_reader(link.fileno())
             link.close()
             self._links.remove(link)
@@ -129,7 +129,7 @@ class Stopper:
             self._on_end()
 
 
-def _send(link: Link, kind: StopKind) -> None:
+def _send(link: MessagePipe, kind: StopKind) -> None:
     operation = Estop() if kind == "estop" else Stop()
     link.send(Kind.OPERATION, operation.model_dump_json().encode())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -60,7 +61,7 @@ def test_every_result_is_tried_though_one_fails(tmp_path):
 
 def test_a_log_whose_writing_process_was_killed_is_not_complete(tmp_path):
     with ByteLog(tmp_path / "a.log") as log:
-        log._child.kill()
-        log._child.wait()
+        os.kill(log._child.pid, signal.SIGKILL)
+        assert log._child.receive_within(5.0) == []
         log.sent("main", b"#5QD\r", 1_000_000_000)
     assert "the log is not complete: the process that writes it has ended" in log.problem

@@ -14,10 +14,10 @@ from lss_motion.perform import Observer, perform
 from lss_motion.player.following import FollowRule
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job, play
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.operator_end import Operator
 from lss_motion.remote.player_end import LossRule, Steering
 from lss_motion.remote.telemetry import Telemetry
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot, make_sequence
 
@@ -31,8 +31,8 @@ class Client:
         self.end, other = socket.socketpair()
         for one in (self.end, other):
             one.setblocking(False)
-        self.link, self.reads = Link(self.end), True
-        self.steering = Steering(Operator(Link(other)), rule)
+        self.link, self.reads = MessagePipe(self.end), True
+        self.steering = Steering(Operator(MessagePipe(other)), rule)
         self.script = list(script)
         self.events, self.telemetry, self.outcome = [], [], None
         act = self.steering.act
@@ -52,7 +52,7 @@ class Client:
         self.link.send(Kind.OPERATION, operation.model_dump_json().encode())
 
     def read(self):
-        with contextlib.suppress(BrokenLinkError, OSError):
+        with contextlib.suppress(PipeClosedError, OSError):
             while self.reads and (got := self.link.receive()):
                 for kind, content in got:
                     if kind is Kind.TELEMETRY:
@@ -327,7 +327,7 @@ def test_a_player_that_comes_back_stands_where_the_show_will_be_and_gains_speed_
     end, other = socket.socketpair()
     for one in (end, other):
         one.setblocking(False)
-    operator = Conductor(Link(other))
+    operator = Conductor(MessagePipe(other))
     job = Job(
         program=program,
         robot=robot,

@@ -12,9 +12,9 @@ from msgspec.structs import replace
 
 import lss_motion as lss
 from lss_motion.remote import schema as m
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.live_end import LiveSession
 from lss_motion.remote.operator_end import Operator
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from tests.timed_moves import is_move
 
 S = 1_000_000_000
@@ -28,8 +28,8 @@ class Client:
         self.end, other = socket.socketpair()
         for one in (self.end, other):
             one.setblocking(False)
-        self.link, self.events = Link(self.end), []
-        self.operator = Operator(Link(other))
+        self.link, self.events = MessagePipe(self.end), []
+        self.operator = Operator(MessagePipe(other))
         self.script, self.began_ns = sorted(script, key=lambda step: step[0]), None
         take = self.operator.take
 
@@ -54,7 +54,7 @@ class Client:
         self.link.send(Kind.OPERATION, operation.model_dump_json().encode())
 
     def read(self):
-        with contextlib.suppress(BrokenLinkError, OSError):
+        with contextlib.suppress(PipeClosedError, OSError):
             while got := self.link.receive():
                 self.events += [m.parse_event(content) for _, content in got]
 

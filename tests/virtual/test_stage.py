@@ -20,7 +20,6 @@ from lss_motion.player.events import Phase, PhaseEntered, ShowBegan, ShowOver
 from lss_motion.player.repertoire import Repertoire
 from lss_motion.remote import schema as m
 from lss_motion.remote import stage_messages as s
-from lss_motion.remote.link import Kind, Link
 from lss_motion.remote.operator_end import Operator
 from lss_motion.remote.shows_job import ShowsJob, ShowsSteering, play_shows
 from lss_motion.remote.telemetry import Telemetry
@@ -29,6 +28,7 @@ from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.deviation import Deviation
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.stage_run import perform_stage
+from lss_motion.system.messages import Kind, MessagePipe
 from tests.joints import joint
 
 S = 1_000_000_000
@@ -295,7 +295,7 @@ def test_a_client_changes_shows_from_another_process():
     here, there = socket.socketpair()
     for end_ in (here, there):
         end_.setblocking(False)
-    client, script = Link(here), [
+    client, script = MessagePipe(here), [
         (2.0, s.Change(id=1, show="hello", start_s=1.0)),
         (2.1, s.Change(id=2, show="helo")),
         (2.2, s.Change(id=3, show="eyes", how="add")),
@@ -306,7 +306,7 @@ def test_a_client_changes_shows_from_another_process():
     ]  # fmt: skip
     got = []
     job = ShowsJob(programs=shows(), robot=figure(), first="idle", options={"is_virtual": True})
-    steering = ShowsSteering(Operator(Link(there)), job.rule, job.programs)
+    steering = ShowsSteering(Operator(MessagePipe(there)), job.rule, job.programs)
     act = steering.act
 
     def acts(player, now_ns):

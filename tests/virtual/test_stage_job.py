@@ -13,7 +13,6 @@ from msgspec.structs import replace
 
 from lss_motion.remote import schema as m
 from lss_motion.remote import stage_messages as s
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.operator_end import Operator
 from lss_motion.remote.process import packed, start_process
 from lss_motion.remote.telemetry import Telemetry, plan_hash
@@ -23,6 +22,7 @@ from lss_motion.stage.load import load_stage
 from lss_motion.stage.model import Cue, Sync, TimecodeInput, Trigger
 from lss_motion.stage.model import Kind as TriggerKind
 from lss_motion.stage.running import Options, StageRun
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 NS = 1_000_000_000
 FILES = {
@@ -50,7 +50,7 @@ def planned(tmp_path_factory):
 
 def read(link):
     events, telemetry, objects = [], [], []
-    with contextlib.suppress(BrokenLinkError, OSError):
+    with contextlib.suppress(PipeClosedError, OSError):
         while got := link.receive():
             for kind, content in got:
                 if kind is Kind.TELEMETRY:
@@ -69,8 +69,8 @@ class Scripted(StageSteering):
         own, other = socket.socketpair()
         for one in (own, other):
             one.setblocking(False)
-        super().__init__(Operator(Link(other)))
-        self.client, self.script = Link(own), list(script)
+        super().__init__(Operator(MessagePipe(other)))
+        self.client, self.script = MessagePipe(own), list(script)
         self.events, self.telemetry = [], []
 
     def act(self, player, now_ns):
@@ -138,7 +138,7 @@ def test_a_client_triggers_enables_and_stops_a_stage_and_sees_all_of_it(planned)
 def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned, tmp_path):
     options = {"is_virtual": True, "lasts_s": 20.0, "log_folder": str(tmp_path), "seed": 3}
     process, own = start_process(packed(stage_job(planned)), options=options)
-    link = Link(own)
+    link = MessagePipe(own)
     own.settimeout(30)
     events, objects = [], []
     while not objects:

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
 from lss_motion import shows
@@ -23,7 +24,7 @@ def frames():
 
     def look(player, now_ns):
         if now_ns >= len(found) * 10**8:
-            found.append(frame_of(player, now_ns, [], memory))
+            found.append(frame_of(player, now_ns, memory))
 
     observer = Observer(on_turn=look)
     perform(show.program, show.robot, is_virtual=True, observer=observer)
@@ -37,31 +38,31 @@ def drawn(frame, notes=(), width=100):
 
 
 def in_show(frames):
-    return [frame for frame in frames if frame["phase"] == "playing"]
+    return [frame for frame in frames if frame.phase == "playing"]
 
 
 def test_a_frame_shows_how_far_the_show_is_and_the_keyframes_around(frames):
     late = in_show(frames)[40]
     text = drawn(late)
-    assert f"{late['show_s']:.1f} of {late['whole_s']:.1f} s" in text
-    times_s = [at_s for at_s, _ in late["marks"]]
-    assert times_s[0] <= late["show_s"] < times_s[1]
-    for at_s, label in late["marks"]:
+    assert f"{late.show_s:.1f} of {late.whole_s:.1f} s" in text
+    times_s = [at_s for at_s, _ in late.marks]
+    assert times_s[0] <= late.show_s < times_s[1]
+    for at_s, label in late.marks:
         assert f"{label} {at_s:.1f} s" in text
 
 
 def test_a_frame_shows_target_measured_and_error_of_every_joint(frames):
     frame = in_show(frames)[20]
     lines = drawn(frame).splitlines()
-    assert len(frame["joints"]) == 5
-    for name, target, measured, error, *_ in frame["joints"]:
+    assert len(frame.joints) == 5
+    for name, target, measured, error, *_ in frame.joints:
         [line] = [line for line in lines if line.startswith(name)]
         assert line.split()[1:4] == [f"{target:.1f}", f"{measured:.1f}", f"{error:+.2f}"]
 
 
 def test_a_frame_shows_what_the_line_does_now(frames):
     for frame in in_show(frames)[5:50]:
-        share, answers_hz = frame["buses"]["main"]
+        share, answers_hz = frame.buses["main"]
         assert 0.01 < share < 0.3  # Five joints, 10 to 20 readings a second each, and targets.
         assert 40 <= answers_hz < 300
     assert "replies/s" in drawn(in_show(frames)[20])
@@ -69,7 +70,7 @@ def test_a_frame_shows_what_the_line_does_now(frames):
 
 def test_what_goes_wrong_stands_out_and_the_keys_are_seen_on_a_low_terminal(frames):
     frame = in_show(frames)[20]
-    frame = {**frame, "joints": frame["joints"] * 6, "missed": 3, "late_us": 12_345}
+    frame = replace(frame, joints=frame.joints * 6, missed=3, late_us=12_345)
     text = drawn(frame, ["warning: hot", "fault: joint 'a' is stuck"])
     top = "\n".join(text.splitlines()[:12])
     for words in ("3 missed", "late 12.3 ms", "warning: hot", "is stuck", KEYS_HELP):
@@ -77,7 +78,7 @@ def test_what_goes_wrong_stands_out_and_the_keys_are_seen_on_a_low_terminal(fram
 
 
 def test_before_the_show_there_is_a_frame_too(frames):
-    assert frames[0]["phase"] == "connecting"
+    assert frames[0].phase == "connecting"
     assert "connecting" in drawn(frames[0])
 
 
@@ -106,7 +107,7 @@ def test_what_goes_wrong_stays_on_the_screen_and_so_does_what_comes_last(capfd):
 
 
 def test_target_measured_and_error_are_of_one_instant(frames):
-    rows = [row for frame in in_show(frames) for row in frame["joints"] if row[2] is not None]
+    rows = [row for frame in in_show(frames) for row in frame.joints if row[2] is not None]
     assert len(rows) > 100
     assert any(abs(target) > 20.0 for _, target, *_ in rows)
     for _, target, measured, error, *_ in rows:
@@ -122,7 +123,7 @@ def test_a_pause_is_called_one_and_full_speed_too(frames):
     def look(player, now_ns):
         if player.phase is Phase.SHOW and not found:
             player.set_rate(0.0, now_ns)
-            found.append(frame_of(player, now_ns, [], FrameHistory()))
+            found.append(frame_of(player, now_ns, FrameHistory()))
             player.set_rate(1.0, now_ns)
 
     observer = Observer(on_turn=look)
@@ -139,7 +140,7 @@ def test_on_a_narrow_terminal_columns_are_left_out_and_none_is_cut(frames):
         text = drawn(frame, width=width)
         assert "…" not in text
         lines = text.splitlines()
-        for name, _, _, error, *_ in frame["joints"]:
+        for name, _, _, error, *_ in frame.joints:
             [line] = [line for line in lines if line.split()[:1] == [name]]
             assert f"{error:+.2f}" in line.split()
         assert ("correction" in text) is (width >= 70)

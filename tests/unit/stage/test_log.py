@@ -89,7 +89,7 @@ def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
 def test_the_process_writes_what_it_is_given_and_the_caller_never_waits(tmp_path):
     rule = LogRule(folder=tmp_path / "log", max_bytes=1_000_000)
     with StageLog(rule) as log:
-        assert not os.get_blocking(log._child.stdin.fileno())
+        assert not os.get_blocking(log._child.fileno())
         for number in range(2000):
             log.write(record(number))
         log.write({"dump": "night", "content": "bytes\n"})

@@ -1,4 +1,4 @@
-"""A link: whole messages in order, nothing waits, telemetry is dropped and events are kept."""
+"""A pipe: whole messages in order, nothing waits, telemetry is dropped and events are kept."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import socket
 
 import pytest
 
-from lss_motion.remote import link as links
-from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 
 @pytest.fixture
@@ -17,7 +16,7 @@ def ends():
     with own, other:
         own.setblocking(False)
         other.setblocking(False)
-        yield Link(own), Link(other), own
+        yield MessagePipe(own, outbox_max_bytes=5000), MessagePipe(other), own
 
 
 def test_messages_arrive_whole_and_in_order_however_they_are_cut(ends):
@@ -51,9 +50,8 @@ def test_a_client_that_does_not_read_gets_all_events_but_no_old_telemetry(ends):
     assert client.receive() == [(Kind.TELEMETRY, b"new")]
 
 
-def test_what_is_kept_is_bounded_and_what_is_lost_is_counted(ends, monkeypatch):
+def test_what_is_kept_is_bounded_and_what_is_lost_is_counted(ends):
     player, _, _ = ends
-    monkeypatch.setattr(links, "OUTBOX_MAX_BYTES", 5000)
     while player.send(Kind.EVENT, b"e" * 1000):
         pass
     assert player.dropped == 1
@@ -65,14 +63,14 @@ def test_the_end_of_the_other_end_is_noticed_after_its_last_message(ends):
     player.send(Kind.EVENT, b"bye")
     raw.close()
     assert client.receive() == [(Kind.EVENT, b"bye")]
-    with pytest.raises(BrokenLinkError):
+    with pytest.raises(PipeClosedError):
         client.receive()
     assert not client.send(Kind.OPERATION, b"x")
 
 
 @pytest.mark.parametrize("data", [b"?\x00\x00\x00\x00", b"e\xff\xff\xff\xff"])
-def test_what_is_no_message_breaks_the_link(ends, data):
+def test_what_is_no_message_ends_the_pipe(ends, data):
     _, client, raw = ends
     raw.send(data)
-    with pytest.raises(BrokenLinkError):
+    with pytest.raises(PipeClosedError):
         client.receive()

@@ -1,0 +1,88 @@
+"""What waits: one call for file numbers and time, and the loop of every helper process.
+
+    ready = wait_for([port.fileno()], 0.02)
+    serve(pipe, obey, turn)
+
+The player's loop (`runtime.runner`) waits through its clock, which waits here in real time.
+
+A helper process begins with `begin`. Signals that end a program do nothing there: a helper ends
+when its pipe does, after its last work, and a service manager that signals a whole group must not
+take the log from a player that still sends its last bytes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import select
+import signal
+import socket
+import sys
+import time
+from typing import TYPE_CHECKING, TypeVar
+
+from lss_motion.system.messages import MessagePipe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+    from types import FrameType
+
+    from lss_motion.system.messages import TypedPipe
+
+Message = TypeVar("Message")
+
+
+def wait_for(
+    readable: Collection[int] = (), left_s: float | None = None, *, writable: Collection[int] = ()
+) -> list[int]:
+    """Wait until one of the file numbers is ready, for `left_s` at most; return those that are.
+
+    Without `left_s` it waits as long as it takes. A signal handler that raises ends the wait.
+    """
+    if sys.platform == "win32" and not readable and not writable:
+        time.sleep(left_s or 0.0)  # noqa: TID251  (Windows refuses a select without sockets.)
+        return []
+    can_read, can_write, _ = select.select(readable, writable, (), left_s)
+    return [*can_read, *can_write]
+
+
+def serve(
+    pipe: TypedPipe[Message],
+    obey: Callable[[Message], None],
+    turn: Callable[[], float | None] = lambda: None,
+) -> None:
+    """Call `obey` with each message, and `turn` before each wait, until the other end closes.
+
+    `turn` returns how long the next wait may take: None as long as it takes. Both may close
+    `pipe`, which ends this as well.
+    """
+    left_s = turn()
+    while not pipe.has_ended:
+        wait_for([pipe.fileno()], left_s)
+        for message in pipe.receive():
+            obey(message)
+        left_s = turn()
+
+
+def begin() -> None:
+    """Run the module that the arguments name in this process, and end it.
+
+    The arguments are the module, the file number of this end of the pipe, and words for
+    `main(pipe, *words)` of the module, whose result is the exit code.
+    """
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _do_nothing)
+    module_name, fileno, *words = sys.argv[1:]
+    pipe = MessagePipe(_own_end(fileno))
+    sys.exit(importlib.import_module(module_name).main(pipe, *words))
+
+
+def _own_end(fileno: str) -> socket.socket:
+    """Return this end of the pipe. On Windows, standard input describes it."""
+    if sys.platform == "win32":
+        return socket.fromshare(sys.stdin.buffer.read())
+    return socket.socket(fileno=int(fileno))
+
+
+def _do_nothing(_number: int, _frame: FrameType | None) -> None:
+    """Take a signal. A handler, unlike SIG_IGN, is not inherited by programs."""
