@@ -17,6 +17,7 @@ arguments.
 # ruff: noqa: TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from os import PathLike
 from typing import ClassVar
@@ -29,6 +30,20 @@ EXIT_NOT_FOLLOWED = 5
 EXIT_INTERRUPTED = 130
 EXIT_OF_SIGNAL = 128
 """Plus the number of the signal, as in a shell: 129 hangup, 130 interrupt, 143 terminate."""
+
+
+def install_command(*extras: str) -> str:
+    """Return the command that adds extras of the package to the environment that runs this."""
+    from pathlib import Path  # pathlib takes longer to import than this module.
+
+    names, environment = ",".join(extras), Path(sys.prefix)
+    run = environment.parent / "tools" / "run"  # It makes the environment of a clone.
+    if (environment / "home").is_file() and run.is_file():
+        shown = run.relative_to(Path.cwd()) if run.is_relative_to(Path.cwd()) else run
+        return f"{shown} --with {names}"
+    if (environment / "pipx_metadata.json").is_file():
+        return f"pipx install --force 'lss-motion[{names}]'"
+    return f"pip install 'lss-motion[{names}]'"
 
 
 class LssMotionError(Exception):

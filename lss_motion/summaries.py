@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, to_builtins
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.runtime.sound_choice import RATE_BAND
 from lss_motion.sequence.functions import call_lines, calls_of
 
@@ -606,7 +606,7 @@ SOUND_SLACK_S: Final = 0.05
 
 def sound_lines(program: Program) -> list[str]:
     """Return a line for every sound of a show: its length, and what does not fit."""
-    from lss_motion.sound.files import INSTALL, has_soundfile, sound_info
+    from lss_motion.sound.files import has_soundfile, sound_info
 
     cues = {(cue.sound, cue.style): cue for cue in reversed(program.cues) if cue.sound}
     lines = []
@@ -619,7 +619,7 @@ def sound_lines(program: Program) -> list[str]:
             lines.append(f"warning: sound {path.name} {error.reason}")
             continue
         if info is None:
-            lines.append(f"{line} (not examined: {INSTALL})")
+            lines.append(f"{line} (not examined: {install_command('sound')})")
             continue
         length_s = info.duration_s / style.speed_ratio
         line += f": {length_s:.2f} s, {info.rate_hz} Hz, {info.channels} channels"

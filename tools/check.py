@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
+FILE = re.compile(r"^```yaml\n# (my_\w+\.yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+ASKING = ("lss-play", "lss-motion identify")
+"""Commands that ask before anything moves. No person can answer here."""
 COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "tools/weekend.py")
 """Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
@@ -106,9 +109,8 @@ def _obeys(*rules: Callable[[Path], list[str]]) -> bool:
 
 
 def _readme() -> bool:
-    """Run every `tools/run …` line of the README that ends by itself and needs no robot."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return _typed([line for line in _commands(text) if "my_" not in line], ROOT)
+    """Follow the README."""
+    return _followed(ROOT / "README.md")
 
 
 def _figures() -> bool:
@@ -123,19 +125,25 @@ def _figures() -> bool:
 
 
 def _guides() -> bool:
-    """Follow the guides: write the files that they show and run their commands.
+    """Follow the guides."""
+    return _followed(ROOT / "sequences" / "README.md")
 
-    This works in a copy of the examples. A command that ends with `&` runs until the others ended.
+
+def _followed(page: Path) -> bool:
+    """Do what a page says: write the files that it shows beside it, and type its commands in order.
+
+    This works in a new folder with a copy of the examples. A command that ends with `&` runs until
+    the others ended.
     """
     with tempfile.TemporaryDirectory() as folder:
-        sequences = Path(folder) / "sequences"
-        shutil.copytree(ROOT / "sequences", sequences, ignore=shutil.ignore_patterns("my_*"))
-        text = (sequences / "README.md").read_text(encoding="utf-8").replace("/tmp/", f"{folder}/")  # noqa: S108
-        for name, content in re.findall(
-            r"^```yaml\n# (my_\w+\.yaml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL
-        ):
-            (sequences / name).write_text(content, encoding="utf-8")
-        return _typed(_commands(text), Path(folder))
+        copy = Path(folder)
+        ignored = shutil.ignore_patterns("my_*")
+        shutil.copytree(ROOT / "sequences", copy / "sequences", ignore=ignored)
+        text = page.read_text(encoding="utf-8").replace("/tmp/", f"{folder}/")  # noqa: S108
+        for name, content in FILE.findall(text):
+            written = copy / page.relative_to(ROOT).parent / name
+            written.write_text(content, encoding="utf-8")
+        return _typed(_commands(text), copy)
 
 
 def _commands(text: str) -> list[str]:
@@ -153,8 +161,8 @@ def _typed(commands: list[str], folder: Path) -> bool:
             words = command.split("  #")[0].split()
             print(f"       tools/run {' '.join(words)}")
             typed = [str(ROOT / "tools" / "run"), *(word for word in words if word != "&")]
-            if words[0] == "lss-play":
-                typed.append("--yes")  # No person can answer here.
+            if command.startswith(ASKING):
+                typed.append("--yes")
             if words[-1] == "&":
                 beside.enter_context(_running(typed, folder))
                 continue

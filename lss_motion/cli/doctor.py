@@ -58,7 +58,7 @@ DEVICES_TEXT = """\
 List the sound devices of this computer that can play, each with its driver and the latency that
 this driver states. The default device is marked.
 
-Sounds on time need: pip install 'lss-motion[sound]'; on Linux also: sudo apt install libportaudio2
+Sounds on time need the extra [sound]; on Linux also: sudo apt install libportaudio2
 """
 
 

@@ -51,7 +51,6 @@ like that, too, and cues fire only by their names.
 Exit codes: 0 ended; 2 a file or argument must change; 3 a show cannot be planned; 4 the port or the
 servos are not there (with --wait-port they are waited for); 5 the robot did not follow.
 """
-INSTALL: Final = 'a stage needs some packages: pip install "lss-motion[stage,studio]"'
 TOKEN_BYTES: Final = 32
 
 
@@ -162,7 +161,7 @@ def _sources(stage: Stage, figure: str) -> Sources:
     """Return what opens the triggers at a figure, in a thread of their own."""
     from msgspec.structs import replace
 
-    with served.needing(INSTALL):
+    with served.needing("a stage needs some packages", "stage", "studio"):
         from lss_motion.studio.inlets import inlets_thread, require_packages
     listen = stage.figures[figure].listen
     assert listen is not None
@@ -172,7 +171,7 @@ def _sources(stage: Stage, figure: str) -> Sources:
 
 
 def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
-    with served.needing(INSTALL):
+    with served.needing("a stage needs some packages", "stage", "studio"):
         from lss_motion.studio.inlets import require_packages
         from lss_motion.studio.server import serve
         from lss_motion.studio.stage_service import ServiceOptions, StageService

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.cli.messages import put
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 
 if TYPE_CHECKING:
     import argparse
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def needing(install: str) -> Iterator[None]:
-    """Import the server; raises `InputError` with `install` where a package is missing."""
+def needing(what: str, *extras: str) -> Iterator[None]:
+    """Import the server; raises `InputError` where a package of `extras` is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith("lss_motion"):
             raise
-        raise InputError(install) from None
+        raise InputError(f"{what}: {install_command(*extras)}") from None
 
 
 class Tls(NamedTuple):

@@ -32,7 +32,6 @@ Open the address that is printed; it holds the key to the robot, so keep it to y
 devices pair with a code that the page shows. Everyone who may look may stop, one client operates.
 A file that changes on disk is planned again. Ctrl-C stops the show and ends.
 """
-INSTALL: Final = 'the studio needs three packages: pip install "lss-motion[studio]"'
 
 
 def add_to(commands: Commands) -> None:
@@ -57,7 +56,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _studio(arguments: argparse.Namespace) -> int:
-    with served.needing(INSTALL):
+    with served.needing("the studio needs three packages", "studio"):
         from lss_motion.studio.server import serve
     from lss_motion.files.source import read_data
     from lss_motion.studio.desk import DeskOptions

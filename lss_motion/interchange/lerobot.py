@@ -2,7 +2,7 @@
 
 The rate of the frames and the names of the joints are in `meta/info.json`, which is looked for in
 the folders above the file. Values are degrees or -100 to 100, as the robot was configured; the file
-does not define which, so a map file must. Needs pyarrow: `pip install 'lss-motion[lerobot]'`.
+does not define which, so a map file must. Needs pyarrow: the extra `[lerobot]`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.files.source import counted, read_data
 from lss_motion.interchange.fields import JsonFields, parsed_json
 from lss_motion.interchange.reader import FPS_MAX, VALUES_MAX, Channel, Unit, recording, thinned
@@ -74,7 +74,7 @@ def _table(path: Path, data: bytes) -> tuple[str, FloatArray, dict[str, FloatArr
         import pyarrow.parquet as pq
     except ImportError as error:
         raise InputError(
-            "is a parquet file, which needs pyarrow: pip install 'lss-motion[lerobot]'", path=path
+            f"is a parquet file, which needs pyarrow: {install_command('lerobot')}", path=path
         ) from error
     try:
         file = pq.ParquetFile(pa.BufferReader(data))

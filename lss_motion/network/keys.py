@@ -11,7 +11,7 @@ import datetime as dt
 import os
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 YEARS: Final = 10
 """Chosen: a figure is not to stop on the evening on which a certificate ends. Keys of a lost
 computer are made worthless by new keys for all."""
-NEEDED: Final = 'keys need a package: pip install "lss-motion[network]"'
 
 
 def make_keys(stage: str, figures: Collection[str], folder: Path) -> list[Path]:
@@ -34,7 +33,7 @@ def make_keys(stage: str, figures: Collection[str], folder: Path) -> list[Path]:
     try:
         from cryptography import x509
     except ModuleNotFoundError:
-        raise InputError(NEEDED) from None
+        raise InputError(f"keys need a package: {install_command('network')}") from None
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     authority, authority_key = folder / "ca.pem", folder / "ca.key"

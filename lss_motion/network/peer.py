@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from msgspec import Struct
 
 from lss_motion.closing import Closing
-from lss_motion.errors import BusError, InputError
+from lss_motion.errors import BusError, InputError, install_command
 from lss_motion.network.messages import (
     MESSAGE_MAX_BYTES,
     ClockAnswer,
@@ -37,7 +37,6 @@ INBOX_MAX: Final = 2000
 """Messages that were not taken yet; newer ones are dropped. Chosen: 200 figures for two seconds."""
 FETCH_S: Final = 20.0
 """An answer may take so long: 64 MB over a slow Wi-Fi."""
-NEEDED: Final = 'shows on several computers need a package: pip install "lss-motion[network]"'
 
 What = Literal["message", "alive", "gone", "content", "no content"]
 
@@ -66,7 +65,9 @@ class Peer(Closing):
         try:
             import zenoh
         except ModuleNotFoundError:
-            raise InputError(NEEDED) from None
+            raise InputError(
+                f"shows on several computers need a package: {install_command('network')}"
+            ) from None
         self._zenoh = zenoh
         self._now_ns = now_ns
         self._top = settings.stage

@@ -5,7 +5,7 @@
     /events          JSON: `type` and the fields of each event; requests of a person
 
 Angles are joint angles in radians. Times are those of the log: nanoseconds since the run began.
-Needs the library mcap: `pip install 'lss-motion[mcap]'`.
+Needs the library mcap: the extra `[mcap]`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.protocol.framing import Command, CommandParser, Reply, ReplyParser
 from lss_motion.runtime.replay import sent_lines
 from lss_motion.units import NS_PER_S
@@ -69,7 +69,7 @@ def mcap_of_log(entries: list[Entry], robot: Robot) -> bytes:
     try:
         from mcap.writer import CompressionType, Writer
     except ImportError as error:
-        raise InputError("MCAP needs a library: pip install 'lss-motion[mcap]'") from error
+        raise InputError(f"MCAP needs a library: {install_command('mcap')}") from error
     out = io.BytesIO()
     # Without compression, no further library is needed to read the file.
     writer = Writer(out, compression=CompressionType.NONE)

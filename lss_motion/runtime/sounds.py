@@ -21,12 +21,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.player.events import Noted
 from lss_motion.player.show_clock import TRIM_MAX_RATIO, Leg
 from lss_motion.runtime.performer_process import SOUND_PLAYERS, sound_player
 from lss_motion.runtime.sound_choice import RATE_BAND, SoundReport
-from lss_motion.sound.files import INSTALL, has_soundfile, sound_info
+from lss_motion.sound.files import has_soundfile, sound_info
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class SoundDesk:
         self._child: subprocess.Popen[bytes] | None = None
         self._lengths_s = self._checked({cue.sound: cue for cue in program.cues if cue.sound})
         if not has_soundfile():
-            self.problem = f"a library is missing: {INSTALL}"
+            self.problem = f"a library is missing: {install_command('sound')}"
         else:
             self._open(choice.device)
         self._advance()

@@ -306,7 +306,7 @@ class EventEntry(FileModel, title="event"):
     sound: FileName | None = Field(
         default=None,
         description="A sound file, relative to this file: WAV, FLAC, OGG or MP3. It sounds at at_s "
-        "(with pip install 'lss-motion[sound]'; else a player of the system plays it, later).",
+        "(with the extra [sound]; else a player of the system plays it, later).",
     )
     lead_s: Annotated[float, Field(ge=0.0, le=LEAD_MAX_S)] = Field(
         default=0.0,

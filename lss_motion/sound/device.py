@@ -15,9 +15,10 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.closing import Closing
+from lss_motion.errors import install_command
 from lss_motion.files.source import known_names
 from lss_motion.sound.device_clock import DeviceClock
-from lss_motion.sound.files import INSTALL, STEREO
+from lss_motion.sound.files import STEREO
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -54,7 +55,9 @@ def sounddevice_module() -> ModuleType:
     try:
         import sounddevice
     except ImportError as error:
-        raise NoDeviceError(f"playing sound on time needs a library: {INSTALL}") from error
+        raise NoDeviceError(
+            f"playing sound on time needs a library: {install_command('sound')}"
+        ) from error
     except OSError as error:  # PortAudio itself is missing.
         raise NoDeviceError(f"the library PortAudio is missing; {LINUX_LIBRARY}") from error
     module: ModuleType = sounddevice

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.closing import Closing
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-INSTALL: Final = "pip install 'lss-motion[sound]'"
 FORMATS: Final = "WAV, FLAC, OGG or MP3"
 STEREO: Final = 2
 SKIP_FRAMES: Final = 1 << 16
@@ -56,7 +55,7 @@ def soundfile_module() -> ModuleType:
     try:
         import soundfile
     except (ImportError, OSError) as error:  # OSError: libsndfile itself is missing.
-        raise InputError(f"sound files need a library: {INSTALL}") from error
+        raise InputError(f"sound files need a library: {install_command('sound')}") from error
     module: ModuleType = soundfile
     return module
 

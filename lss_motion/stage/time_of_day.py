@@ -16,7 +16,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, time, timedelta, tzinfo
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -40,7 +40,7 @@ def cron_problem(text: str) -> str:
     try:
         from cronsim import CronSim, CronSimError
     except ImportError as error:
-        raise InputError("times of day need a library: pip install 'lss-motion[stage]'") from error
+        raise InputError(f"times of day need a library: {install_command('stage')}") from error
     if len(text.split()) != FIELDS:
         return (
             f"has {len(text.split())} fields, not {FIELDS}: minute, hour, day, month, weekday, "

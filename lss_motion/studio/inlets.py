@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.stage.model import Kind
 from lss_motion.triggers import mqtt
 from lss_motion.triggers.gpio import GpioPins
@@ -70,7 +70,7 @@ def require_packages(stage: Stage) -> None:
         module, extra = MODULES[source]
         if is_wanted and importlib.util.find_spec(module) is None:
             raise InputError(
-                f"{source} needs a package: pip install 'lss-motion[{extra}]'",
+                f"{source} needs a package: {install_command(extra)}",
                 path=stage.path,
                 line=listen.line,
             )

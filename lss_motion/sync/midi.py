@@ -8,12 +8,12 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.errors import install_command
 from lss_motion.files.source import known_names
 
 if TYPE_CHECKING:
     from types import ModuleType
 
-INSTALL: Final = "pip install 'lss-motion[sync]'"
 CLIENT: Final = "lss_motion"
 THROUGH: Final = "midi through"
 """A port of ALSA that only repeats what it is sent."""
@@ -28,7 +28,7 @@ def rtmidi_module() -> ModuleType:
     try:
         import rtmidi
     except ImportError as error:
-        raise NoPortError(f"MIDI needs a library: {INSTALL}") from error
+        raise NoPortError(f"MIDI needs a library: {install_command('sync')}") from error
     module: ModuleType = rtmidi
     return module
 

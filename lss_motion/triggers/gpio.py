@@ -10,7 +10,7 @@ import contextlib
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.remote import stage_messages as stage
 
 if TYPE_CHECKING:
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 
 BOUNCE_S: Final = 0.02
 """Contacts of a button bounce for some milliseconds."""
-INSTALL: Final = (
-    'GPIO needs a package and its driver: pip install "lss-motion[gpio]" (on a Raspberry Pi)'
-)
 
 
 class GpioPins:
@@ -58,16 +55,17 @@ class GpioPins:
 
 
 def _button(pin: str) -> Any:  # noqa: ANN401  (the library has no types)
+    install = f"{install_command('gpio')} (on a Raspberry Pi)"
     try:
         from gpiozero import Button
         from gpiozero.exc import BadPinFactory, GPIOZeroError
     except ModuleNotFoundError:
-        raise InputError(INSTALL) from None
+        raise InputError(f"GPIO needs a package and its driver: {install}") from None
     try:
         return Button(int(pin), pull_up=True, bounce_time=BOUNCE_S)
     except BadPinFactory:
         raise InputError(
-            f"this computer has no GPIO pins, or no driver of them; {INSTALL}"
+            f"this computer has no GPIO pins, or no driver of them: {install}"
         ) from None
     except (GPIOZeroError, OSError) as error:
         raise InputError(f"pin GPIO{pin} cannot be used: {error}") from None

@@ -29,7 +29,7 @@ from urllib.parse import unquote, urlsplit
 
 from msgspec import Struct
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.remote import schema as m
 from lss_motion.remote import stage_messages as stage
 
@@ -55,7 +55,6 @@ DEEDS: Final = {
     "rest": "stage.rest",
     "wake": "stage.wake",
 }
-INSTALL: Final = 'MQTT needs a package: pip install "lss-motion[stage]"'
 
 
 class Broker(Struct, frozen=True, kw_only=True):
@@ -237,7 +236,7 @@ class MqttLink:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         except ModuleNotFoundError:
-            raise InputError(INSTALL) from None
+            raise InputError(f"MQTT needs a package: {install_command('stage')}") from None
         broker = self._broker
         client = self._client = Client(CallbackAPIVersion.VERSION2)
         if broker.user is not None:

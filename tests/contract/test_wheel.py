@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import email
 import os
+import re
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
-from readme_hook import portable
+from metadata_hook import portable, urls
 
 import lss_motion
 
@@ -134,10 +135,47 @@ def test_the_wheel_has_types_version_programs_and_a_readme_that_stands_alone(whe
     assert "](lss_motion/" not in text
 
 
+def test_the_wheel_has_the_licences_of_its_parts_and_says_what_it_is(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (info,) = [name for name in names if name.endswith("/METADATA")]
+        metadata = email.message_from_bytes(archive.read(info))
+    assert metadata["License-Expression"] == "MIT AND Apache-2.0"
+    folder = info.replace("METADATA", "licenses/")
+    assert {name.removeprefix(folder) for name in names if name.startswith(folder)} == {
+        "LICENSE",
+        "lss_motion/studio/static/vendor/LICENSES.txt",
+    }
+    assert "Typing :: Typed" in metadata.get_all("Classifier")
+
+
+def test_what_the_readme_says_of_the_published_package_works_in_an_empty_folder(lss):
+    """All but its first line, which needs a package that is published."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(
+        r"^```console\n\$ pipx install lss-motion\n(.*?)```", text, re.MULTILINE | re.DOTALL
+    )
+    commands = [line.removeprefix("$ ").split() for line in block.splitlines()]
+    assert [words[0] for words in commands] == ["lss-motion", "lss-play"]
+    for words in commands:
+        done = lss(*words)
+        assert done.returncode == 0, done.stderr
+
+
 def test_with_a_repository_pictures_and_links_of_the_readme_lead_there():
     text = "![An arm](a/b.png), [guides](g.md), [other](https://example.org/x)"
-    assert portable(text, "https://example.org/r/") == (
+    assert portable(text, "https://example.org/r") == (
         "![An arm](https://example.org/r/raw/HEAD/a/b.png), "
         "[guides](https://example.org/r/blob/HEAD/g.md), [other](https://example.org/x)"
     )
-    assert portable(text, None) == "*An arm.*, guides, [other](https://example.org/x)"
+    assert portable(text, "") == "*An arm.*, guides, [other](https://example.org/x)"
+
+
+def test_one_address_makes_all_links_of_the_package():
+    assert urls("") == {}
+    assert set(urls("https://example.org/r")) == {
+        "Repository",
+        "Documentation",
+        "Changelog",
+        "Issues",
+    }

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import lss_motion as lss
+from lss_motion.errors import install_command
 from lss_motion.program.text import from_text
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
@@ -103,3 +104,24 @@ def test_a_show_is_loaded_planned_compiled_and_played_with_the_exported_function
 def test_what_a_sequence_holds_is_in_its_line():
     assert "keyframes, loop 3" in repr(lss.load_sequence(EXAMPLES / "wave.yaml"))
     assert "5 parts, 2 layers" in repr(lss.load_sequence(EXAMPLES / "playlist.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("files", "folder", "command"),
+    [
+        ([], ".", "pip install 'lss-motion[sound,stage]'"),
+        (["env/home"], ".", "pip install 'lss-motion[sound,stage]'"),
+        (["env/pipx_metadata.json"], ".", "pipx install --force 'lss-motion[sound,stage]'"),
+        (["env/home", "tools/run"], ".", "tools/run --with sound,stage"),
+        (["env/home", "tools/run"], "env", "{root}/tools/run --with sound,stage"),
+    ],
+)
+def test_the_command_that_adds_an_extra_fits_how_the_package_was_installed(
+    files, folder, command, tmp_path, monkeypatch
+):
+    for name in ("env/x", *files):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "env"))
+    monkeypatch.chdir(tmp_path / folder)
+    assert install_command("sound", "stage") == command.format(root=tmp_path)

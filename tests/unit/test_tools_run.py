@@ -6,9 +6,11 @@ With a stand-in for Python that makes "environments" and notes what pip was aske
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -81,13 +83,16 @@ class Checkout:
             return []
         lines = self.notes.read_text(encoding="utf-8").splitlines()
         self.notes.unlink()
-        named = {str(self.folder): "package", f"{self.folder}[dev]": "dev"}
         return [
-            " ".join([*line.split()[:2], named[line.split()[-1]]])
+            " ".join([*line.split()[:2], self._what(line.split()[-1])])
             if "pip install" in line
             else " ".join(line.split()[:2])
             for line in lines
         ]
+
+    def _what(self, requirement: str) -> str:
+        extras = requirement.removeprefix(str(self.folder))
+        return extras.strip("[]") if extras else "package"
 
 
 @pytest.fixture
@@ -123,6 +128,42 @@ def test_a_change_of_the_project_file_installs_again(checkout):
     assert checkout.installed() == ["-m pip package"]
     checkout.run("tools/check.py")
     assert checkout.installed() == ["-m pip dev"]
+
+
+def test_an_extra_is_installed_once_and_stays(checkout):
+    done = checkout.run("--with", "studio")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert "installing lss-motion with studio into .venv" in done.stderr
+    assert checkout.installed() == ["-m pip studio"]
+    checkout.run("lss-play")
+    assert checkout.run("--with", "studio", "lss-play", "x").stdout == "ran lss-play x\n"
+    assert checkout.installed() == []
+    checkout.run("--with", "stage,sound", "lss-play")
+    assert checkout.installed() == ["-m pip sound,stage,studio"]
+    with (checkout.folder / "pyproject.toml").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    checkout.run("lss-play")
+    assert checkout.installed() == ["-m pip sound,stage,studio"]
+
+
+def test_the_development_tools_have_what_every_extra_needs(checkout):
+    checkout.run("pytest")
+    assert checkout.installed() == ["-m pip dev"]
+    assert checkout.run("--with", "studio", "lss-play").returncode == 0
+    assert checkout.installed() == []
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    names = {
+        extra: {re.split("[>=;]", text)[0] for text in needed} for extra, needed in extras.items()
+    }
+    assert all(needed <= names["dev"] for needed in names.values())
+
+
+def test_an_unknown_extra_is_refused_with_those_that_there_are(checkout):
+    done = checkout.run("--with", "studoi", "lss-play")
+    assert done.returncode == 2
+    assert "no extra 'studoi'; there are: mcap lerobot sound" in done.stderr
+    assert checkout.installed() == []
 
 
 def test_a_moved_environment_is_made_anew(checkout):

@@ -14,6 +14,7 @@ import pytest
 
 from lss_motion.cli.main import main, make_parser
 from lss_motion.cli.play import main as play
+from lss_motion.errors import install_command
 
 SEQUENCES = Path(__file__).resolve().parents[3] / "sequences"
 ROBOT = str(SEQUENCES / "robots" / "desk_arm.yaml")
@@ -308,7 +309,7 @@ def test_devices_are_listed_or_the_command_that_installs_them_is_named(capsys, m
     assert (code == 0 and "devices" in json.loads(output.out)) or "install" in output.err
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     assert main(["devices"]) == 2
-    assert "pip install 'lss-motion[sound]'" in capsys.readouterr().err
+    assert install_command("sound") in capsys.readouterr().err
 
 
 def test_doctor_names_the_sound_device_or_what_is_missing(capsys, monkeypatch):
@@ -316,4 +317,4 @@ def test_doctor_names_the_sound_device_or_what_is_missing(capsys, monkeypatch):
     main(["doctor", "--json", "--tone"])
     findings = json.loads(capsys.readouterr().out)["findings"]
     sound = next(finding for finding in findings if finding["subject"] == "sound")
-    assert "pip install" in sound["text"]
+    assert install_command("sound") in sound["text"]

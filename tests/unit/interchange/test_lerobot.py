@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.interchange.lerobot import LeRobotReader
 from lss_motion.interchange.reader import Unit
 
@@ -132,4 +132,4 @@ def test_without_pyarrow_the_message_tells_what_to_install(monkeypatch, refusal)
         return found(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    assert "pip install 'lss-motion[lerobot]'" in refusal(LeRobotReader(), data).reason
+    assert install_command("lerobot") in refusal(LeRobotReader(), data).reason

@@ -9,7 +9,7 @@ import pytest
 
 import lss_motion as lss
 from lss_motion.cli.main import main
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.interchange.voice import (
     Follow,
     VoiceStyle,
@@ -191,7 +191,7 @@ def test_what_cannot_be_is_said_and_nothing_is_written(folder, capsys, words, sa
 def test_without_the_extra_the_command_that_installs_it_is_named(folder, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "soundfile", None)
     assert run("--joint", "jaw", "-o", "x.yaml") == 2
-    assert "sound files need a library: pip install 'lss-motion[sound]'" in capsys.readouterr().err
+    assert f"sound files need a library: {install_command('sound')}" in capsys.readouterr().err
 
 
 def test_more_keys_than_a_file_may_have_are_refused_with_the_parts_to_import(folder, monkeypatch):

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 import lss_motion as lss
 from lss_motion.cli.play import main as play
 from lss_motion.cli.terminal import Inputs
+from lss_motion.errors import install_command
 from lss_motion.perform import perform
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.runtime.sound_choice import SoundChoice
@@ -70,7 +71,7 @@ def test_without_the_extra_the_show_plays_and_says_once_what_to_install(show, mo
     output = capsys.readouterr()
     assert (code, report["outcome"]) == (0, "finished")
     assert output.out.count("warning: no sounds: a library is missing") == 2, "and in the report"
-    assert "pip install 'lss-motion[sound]'" in output.out
+    assert install_command("sound") in output.out
     assert "lss-play: not played: music.wav" in output.err
     assert report["sound"]["not_played"] == ["music.wav"]
 

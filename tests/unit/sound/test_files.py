@@ -1,9 +1,10 @@
+import re
 import sys
 
 import numpy as np
 import pytest
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.sound.files import SoundReader, read_sound, sound_info
 
 soundfile = pytest.importorskip(
@@ -85,5 +86,5 @@ def test_what_is_no_sound_is_refused_with_its_name_and_reason(tmp_path, name, re
 
 def test_without_the_extra_the_error_has_the_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "soundfile", None)
-    with pytest.raises(InputError, match=r"pip install 'lss-motion\[sound\]'"):
+    with pytest.raises(InputError, match=re.escape(install_command("sound"))):
         sound_info(tmp_path / "a.wav")

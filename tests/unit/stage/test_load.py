@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from datetime import time
 from pathlib import Path
 
 import jsonschema
 import pytest
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, install_command
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import is_stage_file, time_of_day
@@ -182,5 +183,5 @@ def test_a_stage_file_is_told_from_a_show(kit):
 
 def test_times_of_day_say_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cronsim", None)
-    with pytest.raises(InputError, match=r"pip install 'lss-motion\[stage\]'"):
+    with pytest.raises(InputError, match=re.escape(install_command("stage"))):
         time_of_day.cron_problem("* * * * *")
