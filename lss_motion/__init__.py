@@ -43,15 +43,15 @@ from lss_motion.errors import (
 )
 
 if TYPE_CHECKING:
-    from lss_motion.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
-    from lss_motion.live import Live, connect
-    from lss_motion.program.model import Program
-    from lss_motion.remote.handle import Handle, start
-    from lss_motion.remote.player_end import LossRule
+    from lss_motion.planning.program.model import Program
+    from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
+    from lss_motion.playing.live import Live, connect
+    from lss_motion.playing.remote.handle import Handle, start
+    from lss_motion.playing.remote.player_end import LossRule
+    from lss_motion.playing.report import Report
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.report import Report
-    from lss_motion.sequence.model import Keyframe, Sequence
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.show.model import Keyframe, Sequence
 
 __version__ = "0.1.0"
 
@@ -82,22 +82,22 @@ __all__ = [
 ]
 
 _HOME = {
-    "Handle": "lss_motion.remote.handle",
-    "Keyframe": "lss_motion.sequence.model",
-    "Live": "lss_motion.live",
-    "LossRule": "lss_motion.remote.player_end",
-    "Program": "lss_motion.program.model",
-    "Report": "lss_motion.runtime.report",
+    "Handle": "lss_motion.playing.remote.handle",
+    "Keyframe": "lss_motion.show.model",
+    "Live": "lss_motion.playing.live",
+    "LossRule": "lss_motion.playing.remote.player_end",
+    "Program": "lss_motion.planning.program.model",
+    "Report": "lss_motion.playing.report",
     "Robot": "lss_motion.robot.model",
-    "Sequence": "lss_motion.sequence.model",
-    "Trajectory": "lss_motion.trajectory.model",
-    "compile": "lss_motion.api",
-    "connect": "lss_motion.live",
-    "load_robot": "lss_motion.api",
-    "load_sequence": "lss_motion.api",
-    "plan": "lss_motion.api",
-    "play": "lss_motion.api",
-    "start": "lss_motion.remote.handle",
+    "Sequence": "lss_motion.show.model",
+    "Trajectory": "lss_motion.planning.trajectory.model",
+    "compile": "lss_motion.playing.api",
+    "connect": "lss_motion.playing.live",
+    "load_robot": "lss_motion.playing.api",
+    "load_sequence": "lss_motion.playing.api",
+    "plan": "lss_motion.playing.api",
+    "play": "lss_motion.playing.api",
+    "start": "lss_motion.playing.remote.handle",
 }
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Sequence
+    from lss_motion.show.model import Sequence
 
 CELL_S = 0.002
 TRIALS = 32

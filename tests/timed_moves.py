@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from lss_motion.program.model import Move
+from lss_motion.planning.program.model import Move
 
 MOVE: Final = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r?")
 

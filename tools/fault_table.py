@@ -33,23 +33,23 @@ from campaign.judge import MOVE
 from campaign.shows import Show
 from campaign.witness import HangError, Witness
 
-from lss_motion import api
-from lss_motion.connection import connect
 from lss_motion.maintenance.careful import CarefulRun
 from lss_motion.maintenance.careful_legs import way_of
-from lss_motion.perform import Observer, perform
-from lss_motion.player import handshake
-from lss_motion.player.events import Faulted, Warned
-from lss_motion.runtime.clock import VirtualClock
+from lss_motion.playing import api
+from lss_motion.playing.connection import connect
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player import handshake
+from lss_motion.playing.player.events import Faulted, Warned
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import TICK_NS
+from lss_motion.system.clock import VirtualClock
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.perform import Result
-    from lss_motion.player.events import Event
+    from lss_motion.playing.perform import Result
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Joint, Robot
 
     Rows = Callable[[Joint, float], list[Fault]]

@@ -12,7 +12,7 @@ from lss_motion.units import ns_from_s
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lss_motion.walking.planner import PlanReply, PlanRequest, WalkPlanner
+    from lss_motion.playing.walking.planner import PlanReply, PlanRequest, WalkPlanner
 
 
 class LocalPlanner:

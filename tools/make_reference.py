@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lss_motion.cli import main, play
-from lss_motion.gait.load import gait_schema
 from lss_motion.robot.learnt import learnt_schema
 from lss_motion.robot.load import robot_schema
-from lss_motion.sequence.load import sequence_schema
+from lss_motion.show.gait.load import gait_schema
+from lss_motion.show.load import sequence_schema
 from lss_motion.stage.load import stage_schema
 
 if TYPE_CHECKING:

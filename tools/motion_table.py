@@ -33,9 +33,9 @@ from lss_motion.interchange import (
     map_template,
     read_motions,
 )
-from lss_motion.program.compile import compile_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.load import load_robot
-from lss_motion.trajectory.planner import plan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -22,13 +22,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from benches.shows import robot_of
-from lss_motion import api
-from lss_motion.perform import Observer, perform
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.player import Player
 
 JOINTS: Final = 3
 BAUD_BPS: Final = 19_200

@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion import api
-from lss_motion.perform import Observer
-from lss_motion.player.events import ShowBegan
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer
+from lss_motion.playing.player.events import ShowBegan
+from lss_motion.playing.stage_run import perform_stage
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.stage_run import perform_stage
+from lss_motion.show.model import Keyframe, Sequence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as Rows
 
-    from lss_motion.player.stage_player import StagePlayer
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.stage_player import StagePlayer
 
 JOINTS: Final = tuple(f"j{index}" for index in range(6))
 NS_PER_MS: Final = 1_000_000

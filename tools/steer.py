@@ -20,23 +20,23 @@ import numpy as np
 from local_planner import LocalPlanner
 from msgspec.structs import replace
 
-from lss_motion import shows
-from lss_motion.gait.kinematics import forward
-from lss_motion.gait.model import BodyPose
-from lss_motion.gait.patterns import PATTERNS
-from lss_motion.gait.steering import slowed_to_limits
-from lss_motion.gait.stepping import STILL, Twist
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase
-from lss_motion.walking.pilot import Pilot
-from lss_motion.walking.planner import WalkPlanner
+from lss_motion.planning import shows
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.walking.pilot import Pilot
+from lss_motion.playing.walking.planner import WalkPlanner
+from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.model import BodyPose
+from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.steering import slowed_to_limits
+from lss_motion.show.gait.stepping import STILL, Twist
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.gait.model import Gait
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.player import Player
     from lss_motion.robot.model import Robot
+    from lss_motion.show.gait.model import Gait
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "sequences"
 ROBOTS = (("hexapod_walk.yaml", "tripod"), ("quadruped_trot.yaml", "trot"),

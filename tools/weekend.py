@@ -33,7 +33,7 @@ from msgspec.structs import replace
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from lss_motion import stage_run
+from lss_motion.playing import stage_run
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import SENSOR_NAMES
 from lss_motion.stage.check import plan_stage
@@ -47,7 +47,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.player import Player
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
 

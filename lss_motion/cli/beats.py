@@ -92,7 +92,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _beats(arguments: argparse.Namespace) -> int:
-    from lss_motion.sequence.file import EVENTS_MAX
+    from lss_motion.show.file import EVENTS_MAX
     from lss_motion.sound.beats import beats_of, every, half_shifted
     from lss_motion.sound.spectra import Part
 
@@ -190,7 +190,7 @@ def plot_beats(path: Path, part: Part, found: Beats, at_s: FloatArray) -> None:
     """Draw the music, the strength of its onsets and the beats, in rows of a minute at most."""
     import numpy as np
 
-    from lss_motion.picture import new_figure, save
+    from lss_motion.planning.picture import new_figure, save
     from lss_motion.sound.beats import LATER_S
     from lss_motion.sound.waveform import draw_beats, draw_waveform, waveform
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.hands import HandsControls, add_hands_arguments, joint_lines, load, run_command
 from lss_motion.errors import InputError
-from lss_motion.player.events import Phase
+from lss_motion.playing.player.events import Phase
 
 if TYPE_CHECKING:
     import argparse
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.maintenance.calibration import Frame
-    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.playing.hands_on import HandsOn
     from lss_motion.robot.model import Joint, Robot
 
 
@@ -57,7 +57,7 @@ def add_to(commands: Commands) -> None:
 
 def _calibrate(arguments: argparse.Namespace) -> int:
     from lss_motion.files.source import known_names
-    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.playing.hands_on import HandsOn
 
     robot, joints = load(arguments)
     if arguments.at is not None and arguments.at not in robot.poses:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.connection import Connection
     from lss_motion.maintenance.careful import CarefulRun
-    from lss_motion.player.handshake import Answers
+    from lss_motion.playing.connection import Connection
+    from lss_motion.playing.player.handshake import Answers
     from lss_motion.robot.learnt import Learnt
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.deviation import Deviation
@@ -140,8 +140,8 @@ def careful_run(
     Raises for a joint that deviates, and as a preflight does.
     """
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.connection import connect, is_simulated
-    from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+    from lss_motion.playing.connection import connect, is_simulated
+    from lss_motion.system.clock import MonotonicClock, VirtualClock
 
     is_asked = not (arguments.yes or is_simulated(robot))
     if is_asked:  # A person can only agree to moves that are listed.
@@ -216,7 +216,7 @@ def _announce(
 
 
 def _standing_deg(joint: Joint, answers: Answers) -> float:
-    from lss_motion.player import handshake
+    from lss_motion.playing.player import handshake
 
     standing_deg = handshake.reported(joint, answers, "QD")
     assert standing_deg is not None, "`examined` raises without it"
@@ -243,7 +243,7 @@ def _run_joint(
     """Run the legs of one joint, which a person knows: from where it stood, by its way."""
     from lss_motion.cli.terminal import StopControls
     from lss_motion.maintenance.careful import NEAR_DEG, CarefulRun
-    from lss_motion.runtime.runner import run
+    from lss_motion.playing.runner import run
 
     stood_deg, way_deg = announced_deg
     answers, _ = connection.examined([joint], robot)
@@ -268,7 +268,7 @@ def _timed(joint: Joint, answers: Answers) -> Joint:
     """
     if joint.drive == "timed":
         return joint
-    from lss_motion.player import handshake
+    from lss_motion.playing.player import handshake
 
     own = [handshake.reported(joint, answers, keyword) for keyword in ("QAA", "QAD")]
     ramps = [joint.response.ramp_ratio * ramp for ramp in own if ramp]

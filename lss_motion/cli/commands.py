@@ -25,8 +25,8 @@ from lss_motion.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from lss_motion.planning.shows import Show
     from lss_motion.robot.model import Robot
-    from lss_motion.shows import Show
 
     Commands: TypeAlias = "argparse._SubParsersAction[CommandParser]"  # noqa: SLF001
     """The type that `add_subparsers` returns; argparse has no public name for it."""
@@ -145,7 +145,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 
 def add_all(parser: argparse.ArgumentParser, words: str = "") -> None:
-    """Add `--all`, which lists all of what `summaries.plan_lines` finds; `words` begin its help."""
+    """Add `--all`, which lists all of what `planning.summaries.plan_lines` finds; `words` begin its help."""
     parser.add_argument(
         "--all",
         action="store_true",
@@ -241,7 +241,7 @@ def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
 
 def robot_at(path: Path, port: str | None) -> Robot:
     """Return the robot of a file, at another port if one is given."""
-    from lss_motion.connection import with_port
+    from lss_motion.playing.connection import with_port
     from lss_motion.robot.load import load_robot
 
     return with_port(load_robot(path), port)
@@ -255,9 +255,9 @@ def prepared(
     loop: int | str | None = None,
     is_following: bool = False,
 ) -> Show:
-    """Return the show in the file of a command: `shows.prepare`, or what was kept of it."""
-    from lss_motion import shows
-    from lss_motion.show_cache import cached
+    """Return the show in the file of a command: `planning.shows.prepare`, or what was kept of it."""
+    from lss_motion.planning import shows
+    from lss_motion.planning.show_cache import cached
 
     names = (arguments.file, arguments.robot, arguments.robot_cache)
     return cached(
@@ -281,12 +281,12 @@ def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path]
     """
 
     def read(path: Path) -> Robot:
+        from lss_motion.planning.shows import with_backup
         from lss_motion.robot.load import load_robot
-        from lss_motion.shows import with_backup
 
         robot = load_robot(path)
         if robot.unread and arguments.robot_cache is None and may_query:
-            from lss_motion.connection import ask_limits
+            from lss_motion.playing.connection import ask_limits
 
             return ask_limits(robot, port=arguments.port)
         return with_backup(robot, arguments.robot_cache)

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.connection import Connection
     from lss_motion.maintenance.backup import ServoBackup
-    from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Target
+    from lss_motion.playing.connection import Connection
+    from lss_motion.playing.discovery import ServoIdentity
     from lss_motion.robot.model import Bus, Joint, Robot
 
 
@@ -110,7 +110,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _configure(arguments: argparse.Namespace) -> int:
-    from lss_motion.connection import connect
+    from lss_motion.playing.connection import connect
 
     robot = None
     if arguments.robot is not None:
@@ -148,7 +148,7 @@ def _configure(arguments: argparse.Namespace) -> int:
 def _note_other_hosts(connection: Connection) -> None:
     """Print what arrives on the buses without a query of this program."""
     from lss_motion.maintenance.findings import other_hosts
-    from lss_motion.survey import observed
+    from lss_motion.maintenance.survey import observed
 
     for bus in connection.buses.values():
         for text in other_hosts(bus.port, observed(connection, bus.name)):
@@ -239,8 +239,8 @@ def _targets(
     from msgspec.structs import replace
 
     from lss_motion.cli.servo_settings import targets_at
+    from lss_motion.maintenance.survey import roll_call
     from lss_motion.robot.servo_models import model_mismatch_text
-    from lss_motion.survey import roll_call
 
     if robot is None:
         ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
@@ -298,7 +298,7 @@ def _wanted(
 
 def _limits(joint: Joint, wanted: Mapping[str, int | None]) -> dict[str, int]:
     """Return the limits of a joint as wire values, or lower ones that the file wants stored."""
-    from lss_motion.player.checks import stored_limits
+    from lss_motion.playing.player.checks import stored_limits
 
     limits = stored_limits(joint)
     own = {name: value for name, value in wanted.items() if value is not None and name in limits}
@@ -334,7 +334,7 @@ def _show(connection: Connection, targets: Sequence[Target], arguments: argparse
 
 def _note_limits(connection: Connection, targets: Sequence[Target], robot: Robot) -> None:
     """Print which servos store higher limits than their joints have, and how to mend it."""
-    from lss_motion.player.checks import stored_excesses, stored_queries
+    from lss_motion.playing.player.checks import stored_excesses, stored_queries
 
     joints = [robot.joints[target.name] for target in targets]
     excesses = stored_excesses(joints, connection.ask(stored_queries(joints)))
@@ -426,7 +426,7 @@ def _require_own_ids(servos: Sequence[ServoIdentity], port: str) -> None:
 def _change_baud(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
     """Give all servos of a bus another baud rate; only some of them with `--force`."""
     from lss_motion.cli import servo_settings
-    from lss_motion.survey import roll_call
+    from lss_motion.maintenance.survey import roll_call
 
     if len(connection.buses) > 1:
         raise InputError("--new-baud changes one bus: give --port and --baud instead of ROBOT")
@@ -485,7 +485,7 @@ def _back_up(
     """Write all stored settings to a file."""
     from lss_motion.cli import servo_settings
     from lss_motion.maintenance.backup import ServoBackup, backup_text
-    from lss_motion.survey import query_each
+    from lss_motion.maintenance.survey import query_each
 
     output = Output(path, Kind.YAML)
     require_outputs([output], sources=[robot_path], is_forced=is_forced)
@@ -556,8 +556,8 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
 def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespace) -> int:
     """Return the present id of the servo of a backup: its own, or that of the factory."""
     from lss_motion.cli import servo_settings
+    from lss_motion.maintenance.survey import query_each
     from lss_motion.protocol.io2 import PIN_IDS
-    from lss_motion.survey import query_each
 
     pin = kept.model.removeprefix("LSS-2IO-").replace("LED", "MASTER")
     factory_id = PIN_IDS.get(pin, FACTORY_ID)

@@ -17,14 +17,14 @@ from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
 from lss_motion.files.output import state_directory, write_output
 from lss_motion.files.source import counted, read_data
-from lss_motion.sequence.functions import calls_of
+from lss_motion.show.functions import calls_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from lss_motion.sequence.functions import Call
-    from lss_motion.sequence.model import Cue
+    from lss_motion.show.functions import Call
+    from lss_motion.show.model import Cue
 
 ALLOW_HELP: Final = "call the Python functions of the show without the question"
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
-from lss_motion.player.events import (
+from lss_motion.playing.player.events import (
     Checked,
     CueReached,
     Faulted,
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.cli.terminal import Inputs
-    from lss_motion.player.events import Event, Found
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.events import Event, Found
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.runner import Controls
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.runner import Controls
-    from lss_motion.sequence.model import Cue
+    from lss_motion.show.model import Cue
 
 YES_HELP: Final = "move a real robot without the question; it is checked all the same"
 YES_KEYS: Final = "yY"
@@ -55,7 +55,7 @@ def must_ask(arguments: argparse.Namespace, robot: Robot) -> bool:
     if a person must agree and there is no terminal to answer on.
     """
     from lss_motion.cli.terminal import is_at_keyboard
-    from lss_motion.connection import is_simulated
+    from lss_motion.playing.connection import is_simulated
 
     if arguments.yes or is_simulated(robot):
         return False

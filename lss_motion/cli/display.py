@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from msgspec import Struct
 
 from lss_motion.cli.terminal import KEYS_HELP
-from lss_motion.player.events import Phase
-from lss_motion.runtime.real_time import lower_priority
+from lss_motion.playing.player.events import Phase
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.process import ChildProcess
 from lss_motion.system.reactor import serve
+from lss_motion.system.real_time import lower_priority
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from lss_motion.player.joint_state import JointState
-    from lss_motion.player.player import Player
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.joint_state import JointState
+    from lss_motion.playing.player.player import Player
     from lss_motion.system.messages import MessagePipe
 
 FRAME_NS: Final = NS_PER_S // 10

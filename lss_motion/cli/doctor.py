@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.computer import Finding
+    from lss_motion.system.computer import Finding
 
 
 DESCRIPTION = """\
@@ -85,7 +85,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
-    from lss_motion.runtime.computer import Level, examine
+    from lss_motion.system.computer import Level, examine
 
     robot = None
     if arguments.stage is not None:
@@ -116,8 +116,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 def _stage(arguments: argparse.Namespace) -> int:
     """Print what all figures of a stage find."""
-    from lss_motion.network.examine import examine_stage, examined_by_conductor
-    from lss_motion.network.serving import host_of, settings_of
+    from lss_motion.stage.hosts.examine import examine_stage, examined_by_conductor
+    from lss_motion.stage.hosts.serving import host_of, settings_of
     from lss_motion.stage.load import load_stage
 
     if arguments.robot is not None or arguments.tone is not None:
@@ -152,8 +152,8 @@ def _stage(arguments: argparse.Namespace) -> int:
 
 def _sound(tone: str | None) -> Finding:
     """Return what can be told of sound; play a tone if a device is named, "" for the default."""
-    from lss_motion.runtime.computer import Finding, Level
     from lss_motion.sound.device import NoDeviceError, chosen_device, play_tone
+    from lss_motion.system.computer import Finding, Level
 
     try:
         if tone is None:
@@ -171,11 +171,11 @@ def _sound(tone: str | None) -> Finding:
 
 def _examined(robot: Robot) -> tuple[list[Finding], LssMotionError | None]:
     """Return what a preflight of all joints finds, and the error that would refuse a show."""
-    from lss_motion.connection import ask_limits, connect
-    from lss_motion.player import checks
-    from lss_motion.player.preflight import Examination
-    from lss_motion.runtime.clock import MonotonicClock, VirtualClock
-    from lss_motion.runtime.computer import Finding, Level
+    from lss_motion.playing.connection import ask_limits, connect
+    from lss_motion.playing.player import checks
+    from lss_motion.playing.player.preflight import Examination
+    from lss_motion.system.clock import MonotonicClock, VirtualClock
+    from lss_motion.system.computer import Finding, Level
 
     is_simulated = all(bus.is_simulated for bus in robot.buses.values())
     clock = VirtualClock() if is_simulated else MonotonicClock()

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.interchange.export import Samples
+    from lss_motion.planning.shows import Show
+    from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.robot.model import Robot
-    from lss_motion.shows import Show
-    from lss_motion.trajectory.model import Trajectory
 
 
 FORMATS_IN: Final = (
@@ -207,11 +207,11 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.interchange.importing import imported, read_motion
     from lss_motion.interchange.mapping import load_map, map_template
     from lss_motion.interchange.reader import LabelTrack
-    from lss_motion.sequence.model import Interpolation
-    from lss_motion.sequence.write import write_sequence
+    from lss_motion.planning.summaries import fit_text, plan_lines
+    from lss_motion.planning.trajectory.planner import plan
+    from lss_motion.show.model import Interpolation
+    from lss_motion.show.write import write_sequence
     from lss_motion.sound.files import is_sound
-    from lss_motion.summaries import fit_text, plan_lines
-    from lss_motion.trajectory.planner import plan
 
     require_outputs(
         [Output(arguments.make_map or arguments.output, Kind.YAML)],
@@ -259,10 +259,10 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from lss_motion import shows
     from lss_motion.interchange.export import exported
-    from lss_motion.program.arduino import header_name
-    from lss_motion.program.text import to_text
+    from lss_motion.planning import shows
+    from lss_motion.planning.program.arduino import header_name
+    from lss_motion.planning.program.text import to_text
 
     read_robot = reader(arguments, may_query=False)
     output: Path = arguments.output
@@ -305,9 +305,9 @@ def _write_mcap(
     log: Path, robot_path: Path | None, output: Path, read_robot: Callable[[Path], Robot]
 ) -> None:
     """Write a log as MCAP; the log names the robot if `robot_path` does not."""
-    from lss_motion import shows
-    from lss_motion.runtime.log_mcap import mcap_of_log
-    from lss_motion.runtime.replay import read_log
+    from lss_motion.planning import shows
+    from lss_motion.playing.log_mcap import mcap_of_log
+    from lss_motion.playing.replay import read_log
 
     played, entries = read_log(log)
     if robot_path is not None:
@@ -320,8 +320,8 @@ def _write_mcap(
 
 def _write_sketch(show: Show, output: Path) -> None:
     """Write the sketch and its header."""
-    from lss_motion.player.handshake import session_commands
-    from lss_motion.program.arduino import header_name, sketch
+    from lss_motion.planning.program.arduino import header_name, sketch
+    from lss_motion.playing.player.handshake import session_commands
 
     joints = [show.robot.joints[name] for name in show.program.start_deg]
     made = sketch(show.program, show.robot, session_commands(joints), output)
@@ -343,7 +343,7 @@ def sampled(trajectory: Trajectory, rate_hz: float) -> Samples:
     import numpy as np
 
     from lss_motion.interchange.export import Samples
-    from lss_motion.shows import shown_s
+    from lss_motion.planning.shows import shown_s
 
     times_s = np.arange(int(np.ceil(shown_s(trajectory) * rate_hz - 1e-9)) + 1) / rate_hz
     return Samples(

@@ -14,15 +14,15 @@ from lss_motion.cli.commands import PORT_HELP, add_robot, robot_at
 from lss_motion.cli.messages import ended_by, put
 from lss_motion.cli.terminal import Inputs
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.player.events import Faulted, Phase, Warned
+from lss_motion.playing.player.events import Faulted, Phase, Warned
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Sequence
 
-    from lss_motion.maintenance.hands_on import HandsOn
-    from lss_motion.player.events import Event
+    from lss_motion.playing.hands_on import HandsOn
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.hand import Hand
 
@@ -44,7 +44,7 @@ def add_hands_arguments(command: argparse.ArgumentParser) -> None:
 
 def load(arguments: argparse.Namespace) -> tuple[Robot, list[str]]:
     """Return the robot, with the limits that its servos report, and the chosen joints."""
-    from lss_motion.connection import ask_limits, is_simulated
+    from lss_motion.playing.connection import ask_limits, is_simulated
 
     robot = ask_limits(robot_at(arguments.robot, arguments.port))
     if arguments.hand is not None and not is_simulated(robot):
@@ -211,9 +211,9 @@ def perform(
     hand: Hand | None = None,
 ) -> None:
     """Run until the person ends it; raise `BusError` if a port cannot be opened or is lost."""
-    from lss_motion.connection import connect, is_simulated
-    from lss_motion.runtime.clock import MonotonicClock, VirtualClock
-    from lss_motion.runtime.runner import run
+    from lss_motion.playing.connection import connect, is_simulated
+    from lss_motion.playing.runner import run
+    from lss_motion.system.clock import MonotonicClock, VirtualClock
 
     clock = VirtualClock() if is_virtual else MonotonicClock()
     robot = hands_on.robot

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.connection import Connection
     from lss_motion.maintenance.identify.estimate import Identified
     from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.playing.connection import Connection
     from lss_motion.robot.model import Joint, Robot
 
 
@@ -102,9 +102,9 @@ def add_to(commands: Commands) -> None:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.connection import ask_limits, connect, is_simulated
     from lss_motion.maintenance.identify.trials import SPAN_DEG
-    from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+    from lss_motion.playing.connection import ask_limits, connect, is_simulated
+    from lss_motion.system.clock import MonotonicClock, VirtualClock
 
     if arguments.log is not None:
         return _from_log(arguments)
@@ -140,7 +140,7 @@ def _from_log(arguments: argparse.Namespace) -> int:
     """Measure by the log of a show, joint by joint; nothing moves."""
     from lss_motion.maintenance.identify.show_fit import identify_from_show
     from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings
-    from lss_motion.runtime.replay import read_log
+    from lss_motion.playing.replay import read_log
 
     robot = robot_at(arguments.robot, None)
     _check_from_log(arguments)
@@ -176,7 +176,7 @@ def _require_its_log(log: Path, played: Mapping[str, Any], robot: Robot) -> None
 
     Where that file, or the show, cannot be read any more, nothing is known.
     """
-    from lss_motion import shows
+    from lss_motion.planning import shows
 
     try:
         logged = shows.logged_robot(log, played, partial(robot_at, port=None))
@@ -244,7 +244,7 @@ def _announce(
         make_trials,
         make_window,
     )
-    from lss_motion.player import handshake
+    from lss_motion.playing.player import handshake
 
     answers, warnings = connection.examined(joints, robot)
     for text in warnings:
@@ -278,8 +278,8 @@ def _measured(
     from lss_motion.cli.terminal import StopControls
     from lss_motion.maintenance.identify.experiment import Experiment
     from lss_motion.maintenance.identify.trials import make_window
-    from lss_motion.player import handshake
-    from lss_motion.runtime.runner import run
+    from lss_motion.playing.player import handshake
+    from lss_motion.playing.runner import run
 
     answers, _ = connection.examined([joint], robot)
     standing_deg = handshake.reported(joint, answers, "QD")

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.hands import HandsControls, add_hands_arguments, joint_lines, load, run_command
 from lss_motion.errors import InputError
-from lss_motion.player.events import Phase
+from lss_motion.playing.player.events import Phase
 
 if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.playing.hands_on import HandsOn
     from lss_motion.robot.model import Robot
 
 
@@ -41,7 +41,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _jog(arguments: argparse.Namespace) -> int:
-    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.playing.hands_on import HandsOn
 
     robot, joints = load(arguments)
     robot.require_turns(robot.joints[name] for name in joints)

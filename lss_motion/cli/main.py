@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import COMMANDS, CommandParser, add_version
 from lss_motion.cli.messages import guarded
-from lss_motion.runtime.signals import as_program
+from lss_motion.system.signals import as_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -20,7 +20,7 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
-from lss_motion.runtime.signals import exit_code, redirect_to_null
+from lss_motion.system.signals import exit_code, redirect_to_null
 
 if TYPE_CHECKING:
     from collections.abc import Callable

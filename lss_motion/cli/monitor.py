@@ -20,7 +20,7 @@ from lss_motion.cli.commands import (
 from lss_motion.cli.messages import put
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
-from lss_motion.runtime.signals import exit_code
+from lss_motion.system.signals import exit_code
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.connection import Connection
     from lss_motion.maintenance.monitor import Alarms, ServoState, Watch
     from lss_motion.maintenance.settings import Target
+    from lss_motion.playing.connection import Connection
     from lss_motion.robot.model import Robot
 
 
@@ -92,8 +92,8 @@ def add_to(commands: Commands) -> None:
 
 
 def _monitor(arguments: argparse.Namespace) -> int:
-    from lss_motion.connection import connect
     from lss_motion.maintenance.monitor import Alarms, Thresholds, Watch
+    from lss_motion.playing.connection import connect
     from lss_motion.robot.model import Bus
 
     if arguments.robot is None and arguments.port is None:
@@ -133,7 +133,7 @@ def _run(
     recorder: Recorder | None,
     for_s: float | None,
 ) -> int:
-    from lss_motion.runtime.runner import run
+    from lss_motion.playing.runner import run
 
     started_ns = connection.clock.now_ns()
     end_ns = None if for_s is None else started_ns + ns_from_s(for_s)
@@ -156,7 +156,7 @@ def _run(
 def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
     """Return all joints of the robot, or without one the servos that reply."""
     from lss_motion.maintenance.settings import Target
-    from lss_motion.survey import roll_call
+    from lss_motion.maintenance.survey import roll_call
 
     if robot is not None:
         return [
@@ -197,7 +197,7 @@ def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Ta
     """Return the targets with the firmware that they report; the codes of a status depend on it."""
     from msgspec.structs import replace
 
-    from lss_motion.player.transactions import Item
+    from lss_motion.playing.player.transactions import Item
     from lss_motion.protocol.constants import Family
     from lss_motion.protocol.framing import Command
 

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.planning.shows import Show
+    from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.robustness import Trial
     from lss_motion.robot.model import Robot
-    from lss_motion.robustness import Trial
-    from lss_motion.shows import Show
     from lss_motion.stage.check import Planned
-    from lss_motion.trajectory.model import Trajectory
 
     FloatArray = NDArray[np.float64]
 
@@ -158,16 +158,16 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from lss_motion import shows
-    from lss_motion.gait import is_gait_file
-    from lss_motion.stage import is_stage_file
-    from lss_motion.summaries import (
+    from lss_motion.planning import shows
+    from lss_motion.planning.summaries import (
         advice_lines,
         program_lines,
         robot_as_json,
         robot_lines,
         show_as_json,
     )
+    from lss_motion.show.gait import is_gait_file
+    from lss_motion.stage import is_stage_file
 
     if shows.is_robot_file(arguments.file):
         if arguments.robust:
@@ -188,8 +188,8 @@ def _check(arguments: argparse.Namespace) -> int:
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
         show = prepared(arguments, may_query=False, is_following=arguments.follow)
     else:
-        from lss_motion.gait.pacing import gait_lines, paced
-        from lss_motion.gait.to_sequence import sequence_from
+        from lss_motion.show.gait.pacing import gait_lines, paced
+        from lss_motion.show.gait.to_sequence import sequence_from
 
         gait, robot = shows.load_gait(*_files(arguments))
         passages = paced(gait, robot)
@@ -200,13 +200,13 @@ def _check(arguments: argparse.Namespace) -> int:
         lines += program_lines(show, is_whole=arguments.all)
         print("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]), flush=True)
         if arguments.robust:
-            from lss_motion.robustness import robust_lines
+            from lss_motion.playing.robustness import robust_lines
 
             print("\n".join(["", *robust_lines(_trials(show), show.program.duration_s)]))
         return EXIT_FINISHED
     found = show_as_json(show)
     if arguments.robust:
-        from lss_motion.robustness import robust_as_json
+        from lss_motion.playing.robustness import robust_as_json
 
         found["robust"] = robust_as_json(_trials(show), show.program.duration_s)
     print_json(found)
@@ -225,7 +225,7 @@ def _check_stage(arguments: argparse.Namespace) -> int:
     read = reader(arguments, may_query=False)
     planned: Mapping[str | None, Planned]
     if stage.figures:
-        from lss_motion.network.plans import planned_figures
+        from lss_motion.stage.hosts.plans import planned_figures
 
         robots = {name: read(one.robot_path) for name, one in stage.figures.items()}
         planned = {name or "all figures": one for name, one in planned_figures(stage, robots)}
@@ -243,7 +243,7 @@ def _check_stage(arguments: argparse.Namespace) -> int:
 
 def _trials(show: Show) -> list[Trial]:
     """Return all trials of `--robust`; on a terminal, show how many of them are done."""
-    from lss_motion.robustness import WORSE, trials
+    from lss_motion.playing.robustness import WORSE, trials
 
     found = []
     has_progress = sys.stderr.isatty()
@@ -260,8 +260,8 @@ def _trials(show: Show) -> list[Trial]:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from lss_motion import shows
-    from lss_motion.summaries import plan_lines
+    from lss_motion.planning import shows
+    from lss_motion.planning.summaries import plan_lines
 
     outputs = [Output(arguments.csv, Kind.TABLE), Output(arguments.plot, Kind.PICTURE)]
     given = _inputs(arguments)
@@ -274,7 +274,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         shows.require_rows(trajectory, arguments.rate_hz)
         write_output(arguments.csv, plan_table(trajectory, arguments.rate_hz))
     if arguments.plot is not None:
-        from lss_motion.trajectory.plot import plot
+        from lss_motion.planning.trajectory.plot import plot
 
         horn = None if arguments.truth is None else read_table(arguments.truth, trajectory.joints)
         plot(trajectory, robot, arguments.plot, horn=horn, beats_s=sequence.beats_s)
@@ -283,9 +283,9 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _compile(arguments: argparse.Namespace) -> int:
-    from lss_motion import shows
-    from lss_motion.program.text import to_text
-    from lss_motion.summaries import program_lines
+    from lss_motion.planning import shows
+    from lss_motion.planning.program.text import to_text
+    from lss_motion.planning.summaries import program_lines
 
     if arguments.output is not None:
         shows.require_program_suffix(arguments.output)
@@ -302,11 +302,11 @@ def _compile(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
-    from lss_motion.gait.load import gait_schema
-    from lss_motion.remote.schema import schema as remote_schema
+    from lss_motion.playing.remote.schema import schema as remote_schema
     from lss_motion.robot.learnt import learnt_schema
     from lss_motion.robot.load import robot_schema
-    from lss_motion.sequence.load import sequence_schema
+    from lss_motion.show.gait.load import gait_schema
+    from lss_motion.show.load import sequence_schema
     from lss_motion.stage.load import stage_schema
 
     schemas = {
@@ -326,11 +326,11 @@ def _schema(arguments: argparse.Namespace) -> int:
 
 
 def _gait(arguments: argparse.Namespace) -> int:
-    from lss_motion import shows
-    from lss_motion.gait.pacing import gait_lines, paced
-    from lss_motion.gait.to_sequence import sequence_from
-    from lss_motion.sequence.write import write_sequence
-    from lss_motion.trajectory.planner import plan
+    from lss_motion.planning import shows
+    from lss_motion.planning.trajectory.planner import plan
+    from lss_motion.show.gait.pacing import gait_lines, paced
+    from lss_motion.show.gait.to_sequence import sequence_from
+    from lss_motion.show.write import write_sequence
 
     outputs = [Output(arguments.output, Kind.YAML), Output(arguments.plot, Kind.PICTURE)]
     require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
@@ -344,7 +344,7 @@ def _gait(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         write_sequence(sequence, arguments.output, comments=[f"The keyframes of {arguments.file}."])
     if arguments.plot is not None:
-        from lss_motion.gait.plot import plot_gait
+        from lss_motion.planning.gait_plot import plot_gait
 
         plot_gait(gait, passages, arguments.plot)
     print("\n".join(gait_lines(gait, passages)))
@@ -358,7 +358,7 @@ def plan_table(trajectory: Trajectory, rate_hz: float) -> str:
     """
     import numpy as np
 
-    from lss_motion.shows import shown_s
+    from lss_motion.planning.shows import shown_s
 
     end_s = shown_s(trajectory)
     times_s = np.arange(int(end_s * rate_hz + 1e-9) + 1) / rate_hz

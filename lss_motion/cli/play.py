@@ -42,7 +42,7 @@ from lss_motion.errors import (
     LostPortError,
 )
 from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
-from lss_motion.runtime.signals import as_program
+from lss_motion.system.signals import as_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
     from lss_motion.errors import LssMotionError
-    from lss_motion.perform import Result
+    from lss_motion.planning.shows import Show
+    from lss_motion.playing.perform import Result
     from lss_motion.robot.model import Robot
-    from lss_motion.shows import Show
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
 
@@ -187,12 +187,12 @@ def play(arguments: argparse.Namespace) -> int:
         loop=arguments.loop,
         is_following=arguments.follow is not None,
     )
-    from lss_motion.connection import is_simulated, with_port
+    from lss_motion.playing.connection import is_simulated, with_port
 
     robot = with_port(show.robot, arguments.port)
     _check(arguments, show, is_simulated=is_simulated(robot))
     if arguments.dry_run:
-        from lss_motion.summaries import program_lines
+        from lss_motion.planning.summaries import program_lines
 
         for line in [] if arguments.quiet else program_lines(show, is_whole=arguments.all):
             print(line)
@@ -235,8 +235,8 @@ def _play(
     That is offered where no `rate` is given.
     """
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.connection import is_simulated
-    from lss_motion.runtime.sound_choice import SoundChoice
+    from lss_motion.playing.connection import is_simulated
+    from lss_motion.playing.sound_choice import SoundChoice
 
     with contextlib.ExitStack() as stack:
         printer = Printer()
@@ -332,7 +332,7 @@ def _perform(
     Add to `problems` why the log is not complete, if it is not.
     """
     from lss_motion.cli.terminal import LoggedControls
-    from lss_motion.perform import Observer, perform
+    from lss_motion.playing.perform import Observer, perform
 
     with contextlib.ExitStack() as stack:
         display = None
@@ -343,7 +343,7 @@ def _perform(
             stack.callback(display.close)
         log = None
         if arguments.log is not None:
-            from lss_motion.runtime.log import ByteLog
+            from lss_motion.playing.log import ByteLog
 
             played = {**_played(arguments), "must_ask": is_asked, "limits": robot.read_limits}
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
@@ -413,8 +413,8 @@ def _deviation(arguments: argparse.Namespace, robot: Robot) -> Deviation | None:
 
 def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
     """Write report and truth; return what could not be written, since the show was played."""
-    from lss_motion.runtime.report import write_report
-    from lss_motion.truth import write_truth
+    from lss_motion.playing.report import write_report
+    from lss_motion.playing.truth import write_truth
 
     problems = []
     if arguments.report is not None:

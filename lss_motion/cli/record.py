@@ -17,15 +17,15 @@ from lss_motion.cli.hands import HAND_HELP, HandsControls, chosen_joints, joint_
 from lss_motion.cli.messages import ended_by
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
-from lss_motion.player.events import Phase
+from lss_motion.playing.player.events import Phase
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.hands_on import HandsOn
     from lss_motion.maintenance.take import Take
+    from lss_motion.playing.hands_on import HandsOn
     from lss_motion.robot.model import Robot
 
 
@@ -84,9 +84,9 @@ def add_to(commands: Commands) -> None:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    from lss_motion.connection import ask_limits, is_simulated
-    from lss_motion.maintenance.hands_on import HandsOn
     from lss_motion.maintenance.take import Take
+    from lss_motion.playing.connection import ask_limits, is_simulated
+    from lss_motion.playing.hands_on import HandsOn
     from lss_motion.sim.hand import hand_of
 
     robot = ask_limits(robot_at(arguments.robot, arguments.port))
@@ -128,9 +128,9 @@ def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
 
 def _write(arguments: argparse.Namespace, take: Take, robot: Robot) -> None:
     from lss_motion.maintenance.take import sequence_of
-    from lss_motion.sequence.write import write_sequence
-    from lss_motion.summaries import fit_text, plan_lines
-    from lss_motion.trajectory.planner import plan
+    from lss_motion.planning.summaries import fit_text, plan_lines
+    from lss_motion.planning.trajectory.planner import plan
+    from lss_motion.show.write import write_sequence
 
     if not take.parts:
         print("nothing was recorded, so no file was written")

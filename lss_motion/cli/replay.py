@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.dialog import print_event
 from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError
-from lss_motion.player import events
+from lss_motion.playing.player import events
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.runtime.replay import Entry
+    from lss_motion.playing.replay import Entry
 
 
 DESCRIPTION: Final = """\
@@ -51,7 +51,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from lss_motion.runtime.replay import read_log
+    from lss_motion.playing.replay import read_log
 
     played, entries = read_log(arguments.log)
     if not entries or entries[-1].kind != "#":
@@ -71,12 +71,12 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
-    from lss_motion import shows
-    from lss_motion.connection import with_port
-    from lss_motion.maintenance.limits import with_limits
-    from lss_motion.player.player import Player
+    from lss_motion.planning import shows
+    from lss_motion.playing.connection import with_port
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.replay import replay
+    from lss_motion.playing.stored_limits import with_limits
     from lss_motion.robot.load import load_robot
-    from lss_motion.runtime.replay import replay
 
     if "file" not in played:
         raise InputError("does not name the file that was played (`# played:`)", path=path)
@@ -107,9 +107,9 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
 
 
 def _lines_to(entries: list[Entry], servo_id: int) -> list[str]:
+    from lss_motion.playing.replay import sent_lines
     from lss_motion.protocol.constants import BROADCAST_ID
     from lss_motion.protocol.framing import Command, CommandParser
-    from lss_motion.runtime.replay import sent_lines
 
     parser = CommandParser(grouped=False)
     lines, ids = [], set()
@@ -130,8 +130,8 @@ def _lines_to(entries: list[Entry], servo_id: int) -> list[str]:
 def _summary(entries: list[Entry]) -> Iterator[str]:
     from collections import Counter
 
+    from lss_motion.playing.replay import sent_lines
     from lss_motion.protocol.framing import Command, CommandParser
-    from lss_motion.runtime.replay import sent_lines
 
     end_ns = entries[-1].at_ns if entries else 0
     yield f"{s_from_ns(end_ns):.3f} s"
@@ -198,7 +198,7 @@ def _made(node: ast.expr) -> Any:  # noqa: ANN401  (an event, or a part of one)
 def _kinds() -> dict[str, Callable[..., Any]]:
     """Return the types that a log may hold, by name."""
     from lss_motion.robot.on_fault import Cause, FaultStep
-    from lss_motion.sequence.model import Cue, SoundStyle
+    from lss_motion.show.model import Cue, SoundStyle
 
     kinds: tuple[type, ...] = (
         events.Checked,

@@ -1,7 +1,7 @@
 """The command `report`, and the report of a show as text and as a picture.
 
 `play` and `walk` print `report_lines` at the end of a show. The keys of a report are those of
-`lss_motion.runtime.report`.
+`lss_motion.playing.report`.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def _complete(path: Path) -> Iterator[None]:
 
 
 def _read_report(path: Path) -> dict[str, Any]:
-    from lss_motion.runtime.report import SCHEMA_VERSION
+    from lss_motion.playing.report import SCHEMA_VERSION
 
     text = read_text(path, RECORDING_MAX_BYTES)
     try:
@@ -213,7 +213,7 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
     Raises `InputError` for a suffix that cannot be drawn, a file that cannot be written, and a
     report in which no joint was read.
     """
-    from lss_motion.picture import Instant, Timeline, new_figure, save
+    from lss_motion.planning.picture import Instant, Timeline, new_figure, save
 
     joints = {name: joint for name, joint in report["joints"].items() if joint["trace"]["at_s"]}
     if not joints:
@@ -288,7 +288,7 @@ def _joint(row: Any, name: str, joint: dict[str, Any]) -> None:  # noqa: ANN401 
     """
     import numpy as np
 
-    from lss_motion.picture import draw_curve
+    from lss_motion.planning.picture import draw_curve
 
     angle, error = row
     trace, plan = joint["trace"], joint.get("plan", {"at_s": [], "deg": []})

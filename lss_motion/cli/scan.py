@@ -20,15 +20,15 @@ from lss_motion.cli.commands import (
 )
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
-from lss_motion.survey import survey, unreadable
+from lss_motion.maintenance.survey import survey, unreadable
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import ServoCondition
+    from lss_motion.playing.connection import Connection
+    from lss_motion.playing.discovery import ServoCondition
     from lss_motion.robot.model import Bus, Robot
 
 
@@ -75,7 +75,7 @@ def _scan(arguments: argparse.Namespace) -> int:
 
 def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     """Scan and print; append the result of each bus to `found`."""
-    from lss_motion.connection import connect
+    from lss_motion.playing.connection import connect
 
     require_baud("--baud", arguments.baud)
     require_outputs(
@@ -119,7 +119,7 @@ def _progress(text: str) -> None:
 def _bus(port: str | None) -> Bus:
     """Return the bus at `port`; without it, list the ports and return the only one on USB."""
     from lss_motion.robot.model import Bus
-    from lss_motion.runtime.port import list_devices
+    from lss_motion.system.port import list_devices
 
     if port is None:
         devices = list_devices()
@@ -168,7 +168,7 @@ def _frame_problems(
     connection: Connection, bus: Bus, robot: Robot, looks: Sequence[ServoCondition]
 ) -> list[str]:
     """Compare gyre, origin and range of the servos that can be driven with the robot file."""
-    from lss_motion.player.checks import frame_problems, frame_queries
+    from lss_motion.playing.player.checks import frame_problems, frame_queries
 
     found = {
         look.servo_id: look.identity.model

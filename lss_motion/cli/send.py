@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.connection import Connection
     from lss_motion.maintenance.single_command import Standing, Verdict
+    from lss_motion.playing.connection import Connection
     from lss_motion.protocol.codec import Decoded, Language
     from lss_motion.protocol.framing import Command
     from lss_motion.robot.model import Joint, Robot
@@ -91,9 +91,9 @@ def add_to(commands: Commands) -> None:
 
 
 def _send(arguments: argparse.Namespace) -> int:
-    from lss_motion.connection import SIMULATED, connect
     from lss_motion.maintenance.single_command import judge
-    from lss_motion.player.transactions import Item
+    from lss_motion.playing.connection import SIMULATED, connect
+    from lss_motion.playing.player.transactions import Item
     from lss_motion.robot.model import Bus
 
     robot, joint = _robot(arguments), None
@@ -141,9 +141,9 @@ def _servo(
     The servo is asked for what the options leave open. A command that stops it (H, L) or that all
     servos receive is sent without such questions.
     """
-    from lss_motion.maintenance.discovery import family_of
     from lss_motion.maintenance.single_command import HARMLESS
-    from lss_motion.player.transactions import Item
+    from lss_motion.playing.discovery import family_of
+    from lss_motion.playing.player.transactions import Item
     from lss_motion.protocol.codec import Language
     from lss_motion.protocol.constants import BROADCAST_ID, Family
     from lss_motion.protocol.framing import Command
@@ -173,7 +173,7 @@ def _servo(
 def _standing(connection: Connection, joint: Joint, command: Command) -> Standing | None:
     """Return where the servo of a joint stands, if the command is a move to an angle."""
     from lss_motion.maintenance.single_command import TO_ANGLE, read_standing, standing_queries
-    from lss_motion.player.transactions import Item
+    from lss_motion.playing.player.transactions import Item
     from lss_motion.protocol.framing import Command
 
     if command.keyword not in TO_ANGLE:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.network.serving import Sources
+    from lss_motion.stage.hosts.serving import Sources
     from lss_motion.stage.model import Stage
     from lss_motion.studio.stage_service import StageService
     from lss_motion.studio.studio import Studio
@@ -135,7 +135,7 @@ def _serve(arguments: argparse.Namespace) -> int:
 
 
 def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
-    from lss_motion.network.serving import serve_figure
+    from lss_motion.stage.hosts.serving import serve_figure
 
     if arguments.figure is None:
         known = ", ".join(stage.figures)
@@ -175,9 +175,9 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
         from lss_motion.studio.inlets import require_packages
         from lss_motion.studio.server import serve
         from lss_motion.studio.stage_service import ServiceOptions, StageService
-    from lss_motion.runtime.service import Notifier
     from lss_motion.studio.desk import DeskOptions
     from lss_motion.studio.studio import StudioOptions
+    from lss_motion.system.service import Notifier
 
     require_packages(stage)
     tls = served.tls_of(arguments)
@@ -190,8 +190,8 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
         "is_real_time": arguments.real_time,
     }
     if stage.figures:
-        from lss_motion.network.serving import settings_of
-        from lss_motion.network.settings import check_settings
+        from lss_motion.stage.hosts.serving import settings_of
+        from lss_motion.stage.hosts.settings import check_settings
 
         check_settings(settings_of(stage, arguments.figure, is_trusted=arguments.trust_network))
         job |= {"goes": arguments.go, "trusts_network": arguments.trust_network}
@@ -254,8 +254,8 @@ def _take_keys(service: StageService) -> None:
     import asyncio
     import tty
 
-    from lss_motion.remote import schema as m
-    from lss_motion.remote import stage_messages as stage
+    from lss_motion.playing.remote import schema as m
+    from lss_motion.playing.remote import stage_messages as stage
 
     stdin = sys.stdin.fileno()
     tty.setcbreak(stdin)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.runtime.service import Unit
+    from lss_motion.system.service import Unit
 
 DESCRIPTION: Final = """\
 Start a stage with the computer, by systemd: write a unit, check it, and start it. The stage begins
@@ -62,7 +62,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _install(arguments: argparse.Namespace) -> int:
-    from lss_motion.runtime.service import unit_text
+    from lss_motion.system.service import unit_text
 
     if not sys.platform.startswith("linux"):
         raise InputError("install-service is for systemd, which only Linux has")
@@ -94,7 +94,7 @@ def unit_name(stage: Path) -> str:
 
 def _unit(arguments: argparse.Namespace) -> Unit:
     from lss_motion.files.source import read_data
-    from lss_motion.runtime.service import Unit
+    from lss_motion.system.service import Unit
 
     read_data(arguments.stage)
     stage = arguments.stage.resolve()
@@ -140,7 +140,7 @@ def _user(name: str | None, stage: Path) -> tuple[str, tuple[str, ...]]:
 
 def _require_ours(path: Path) -> None:
     """Refuse to replace or remove a unit that another program or person has written."""
-    from lss_motion.runtime.service import MARK
+    from lss_motion.system.service import MARK
 
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(MARK):
         raise InputError("was not written by install-service, and is left as it is", path=path)

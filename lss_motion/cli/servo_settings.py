@@ -13,18 +13,18 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
 from lss_motion.maintenance.findings import doubtful_text
 from lss_motion.maintenance.settings import Target
-from lss_motion.player.transactions import Item
+from lss_motion.maintenance.survey import query_each
+from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import RESET_S, Family
 from lss_motion.protocol.framing import Command
-from lss_motion.survey import query_each
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Change, Values
+    from lss_motion.playing.connection import Connection
+    from lss_motion.playing.discovery import ServoIdentity
 
 
 RESET_WAIT_S: Final = RESET_S + 0.25

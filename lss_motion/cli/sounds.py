@@ -9,8 +9,8 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
+    from lss_motion.playing.sound_choice import SoundChoice, SoundReport
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.sound_choice import SoundChoice, SoundReport
 
 
 def with_kept_offset(robot: Robot) -> Robot:

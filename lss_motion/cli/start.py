@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 
-from lss_motion.runtime.signals import as_program
+from lss_motion.system.signals import as_program
 
 
 def play() -> int:

@@ -15,15 +15,15 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
-from lss_motion.runtime.signals import ENDING
-from lss_motion.runtime.sound_choice import OFFSET_STEP_S
+from lss_motion.playing.sound_choice import OFFSET_STEP_S
+from lss_motion.system.signals import ENDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
 
-    from lss_motion.runtime.log import ByteLog
-    from lss_motion.runtime.sound_choice import SoundChoice
+    from lss_motion.playing.log import ByteLog
+    from lss_motion.playing.sound_choice import SoundChoice
 
 
 KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"

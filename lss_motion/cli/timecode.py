@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator
 
-    from lss_motion.player.following import FollowRule
-    from lss_motion.player.player import Player
-    from lss_motion.program.model import Program
-    from lss_motion.runtime.runner import Controls
-    from lss_motion.sync.options import FollowSpec, SendSpec
-    from lss_motion.sync.source import TimecodeOut, TimecodeSource
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.following import FollowRule
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.runner import Controls
+    from lss_motion.stage.timecode.options import FollowSpec, SendSpec
+    from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
 
     Turn = Callable[[Player, int], None]
 
@@ -77,7 +77,7 @@ def specs_of(arguments: argparse.Namespace) -> tuple[FollowSpec | None, list[Sen
                 "--rate-fps and --offset-s are for --follow or --send; give one of them"
             )
         return None, []
-    from lss_motion.sync.options import read_follow, read_send
+    from lss_motion.stage.timecode.options import read_follow, read_send
 
     if arguments.virtual:
         raise InputError("--virtual has no clock to share: not with --follow or --send")
@@ -103,7 +103,7 @@ class Link:
         outs: list[TimecodeOut],
         rule: FollowRule | None = None,
     ) -> None:
-        from lss_motion.player.following import Following
+        from lss_motion.playing.player.following import Following
 
         self._source, self._outs = source, outs
         self.following = None if source is None else Following(rule)
@@ -117,7 +117,7 @@ class Link:
         """Return the controls of the run; `inner` are those of a person."""
         if self.following is None or self._source is None:
             return inner
-        from lss_motion.sync.source import FollowControls
+        from lss_motion.stage.timecode.source import FollowControls
 
         if note_request is not None:
             self.following.note_request = note_request
@@ -147,8 +147,8 @@ def opened(
         return
     from msgspec.structs import replace
 
-    from lss_motion.player.following import FollowRule, require_can_follow
-    from lss_motion.sync.source import TimecodeOut, TimecodeSource
+    from lss_motion.playing.player.following import FollowRule, require_can_follow
+    from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
 
     with contextlib.ExitStack() as stack:
         source = None

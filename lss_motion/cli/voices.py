@@ -194,10 +194,10 @@ def require_options(arguments: argparse.Namespace) -> None:
 def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
     """Write the sequence of the joint that follows the sound; print what was made of it."""
     from lss_motion.interchange.voice import shortfall, voice_comments, voice_sequence
-    from lss_motion.sequence.parts import keeping
-    from lss_motion.sequence.write import write_sequence
-    from lss_motion.summaries import late_marks, plan_lines
-    from lss_motion.trajectory.planner import plan
+    from lss_motion.planning.summaries import late_marks, plan_lines
+    from lss_motion.planning.trajectory.planner import plan
+    from lss_motion.show.parts import keeping
+    from lss_motion.show.write import write_sequence
 
     part, style = _part(arguments), _style(arguments)
     voiced = voice_sequence(part, robot, arguments.joint, style)
@@ -224,10 +224,10 @@ def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
 def import_labels(arguments: argparse.Namespace, track: LabelTrack, robot: Robot) -> int:
     """Write the sequence of a track of labels; print what was made of it."""
     from lss_motion.interchange.labels import LabelStyle, LabelUse, label_sequence
-    from lss_motion.sequence.parts import keeping
-    from lss_motion.sequence.write import write_sequence
-    from lss_motion.summaries import plan_lines
-    from lss_motion.trajectory.planner import plan
+    from lss_motion.planning.summaries import plan_lines
+    from lss_motion.planning.trajectory.planner import plan
+    from lss_motion.show.parts import keeping
+    from lss_motion.show.write import write_sequence
 
     if names := _typed(arguments, NOT_FOR_LABELS):
         raise InputError(f"{names}: not for labels; leave it out", path=arguments.file)

@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.gait.model import Gait
-    from lss_motion.gait.stepping import Twist
-    from lss_motion.perform import Result
-    from lss_motion.player.player import Player
+    from lss_motion.playing.perform import Result
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.walking.inputs import Gamepad, OperatorInput
+    from lss_motion.playing.walking.pilot import Pilot
+    from lss_motion.playing.walking.process import PlannerProcess
     from lss_motion.robot.model import Robot
-    from lss_motion.walking.inputs import Gamepad, OperatorInput
-    from lss_motion.walking.pilot import Pilot
-    from lss_motion.walking.process import PlannerProcess
+    from lss_motion.show.gait.model import Gait
+    from lss_motion.show.gait.stepping import Twist
 
 
 TOP_STRIDE_MM: Final = 40.0
@@ -107,9 +107,10 @@ def add_to(commands: Commands) -> None:
 
 
 def _walk(arguments: argparse.Namespace) -> int:
-    from lss_motion import api, shows
-    from lss_motion.connection import with_port
-    from lss_motion.gait.model import BodyPose
+    from lss_motion.planning import shows
+    from lss_motion.playing import api
+    from lss_motion.playing.connection import with_port
+    from lss_motion.show.gait.model import BodyPose
 
     outputs = [Output(arguments.report, Kind.REPORT)]
     sources = [arguments.file, arguments.robot, arguments.robot_cache]
@@ -145,11 +146,11 @@ def _walked(
 
     None: a person wants a careful run first, which is offered where no `speed_ratio` is given.
     """
-    from lss_motion import api
     from lss_motion.cli.report import report_lines
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.runtime.report import write_report
-    from lss_motion.walking.inputs import OperatorInput
+    from lss_motion.playing import api
+    from lss_motion.playing.report import write_report
+    from lss_motion.playing.walking.inputs import OperatorInput
 
     is_asked = must_ask(arguments, robot)
     offer = learning.offer if is_asked and speed_ratio is None else ""
@@ -198,9 +199,9 @@ def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Ga
 
     Raises `InputError` or `PlanningError` if an option or a walk of the file is out of reach.
     """
-    from lss_motion.gait.model import Walk
-    from lss_motion.gait.steering import slowed_to_limits
-    from lss_motion.gait.stepping import STILL
+    from lss_motion.show.gait.model import Walk
+    from lss_motion.show.gait.steering import slowed_to_limits
+    from lss_motion.show.gait.stepping import STILL
 
     top, assumed = STILL, {}
     for name, value in (
@@ -286,13 +287,13 @@ def _perform(
 ) -> tuple[Result, Pilot] | None:
     """Walk; `asking`: whether to ask before, and what to offer. None: that was taken."""
     from lss_motion.cli.display import Display
-    from lss_motion.gait.model import BodyPose
-    from lss_motion.perform import Observer, perform
-    from lss_motion.shows import GAIT_TOLERANCE_DEG
-    from lss_motion.walking.inputs import Gamepad
-    from lss_motion.walking.pilot import Pilot
-    from lss_motion.walking.planner import WalkPlanner
-    from lss_motion.walking.process import PlannerProcess
+    from lss_motion.planning.shows import GAIT_TOLERANCE_DEG
+    from lss_motion.playing.perform import Observer, perform
+    from lss_motion.playing.walking.inputs import Gamepad
+    from lss_motion.playing.walking.pilot import Pilot
+    from lss_motion.playing.walking.planner import WalkPlanner
+    from lss_motion.playing.walking.process import PlannerProcess
+    from lss_motion.show.gait.model import BodyPose
 
     planner = WalkPlanner(gait, robot, GAIT_TOLERANCE_DEG)
     wishes, terminal = steered

@@ -8,5 +8,5 @@
 | `validation` | checks values against pydantic models | readers of YAML files |
 | `yaml_edit` | changes single values of a YAML text, keeps the rest | `maintenance`, commands |
 | `output` | refuses to lose a file, writes one as a whole | all writers |
-| `cache` | keeps results; proof of who wrote one | `trajectory.plan_cache`, `show_cache` |
+| `cache` | keeps results; proof of who wrote one | `planning.trajectory.plan_cache`, `show_cache` |
 """

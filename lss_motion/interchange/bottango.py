@@ -16,7 +16,7 @@ from msgspec import Struct
 
 from lss_motion.interchange.fields import NUMBER_MAX, JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import VALUES_MAX, Channel, Unit, recording, summarised, thinned
-from lss_motion.sequence.model import TIME_MAX_S
+from lss_motion.show.model import TIME_MAX_S
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:

@@ -37,7 +37,7 @@ from lss_motion.interchange.reader import (
     summarised,
     thinned,
 )
-from lss_motion.sequence.model import TIME_MAX_S, Interpolation
+from lss_motion.show.model import TIME_MAX_S, Interpolation
 from lss_motion.units import s_from_ms, s_from_us
 
 if TYPE_CHECKING:

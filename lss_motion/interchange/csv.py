@@ -31,7 +31,7 @@ from lss_motion.interchange.reader import (
     motion_name,
     summarised,
 )
-from lss_motion.sequence.model import Interpolation
+from lss_motion.show.model import Interpolation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.interchange.recorded import Spans, trapezoid_share
-from lss_motion.sequence.model import Interpolation
-from lss_motion.splines import monotone_slopes
+from lss_motion.show.model import Interpolation
+from lss_motion.show.splines import monotone_slopes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

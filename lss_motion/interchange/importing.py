@@ -46,9 +46,9 @@ from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
 from lss_motion.interchange.xlights import XLightsReader
 from lss_motion.robot.profile import Profile, ramp_deg_s2
-from lss_motion.sequence.check import joint_problems, jumps
-from lss_motion.sequence.model import KEYFRAMES_MAX, TIME_MAX_S, Interpolation, Sequence
-from lss_motion.sequence.parts import keeping
+from lss_motion.show.check import joint_problems, jumps
+from lss_motion.show.model import KEYFRAMES_MAX, TIME_MAX_S, Interpolation, Sequence
+from lss_motion.show.parts import keeping
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import Channel, Reader
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.sequence.model import Keyframe
+    from lss_motion.show.model import Keyframe
 
 
 READERS: Final[tuple[Reader, ...]] = (

@@ -18,8 +18,8 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.interchange.mouth_shapes import nearest, robot_shapes, shape_reader
 from lss_motion.interchange.reader import DIGITS, Span, motion_label
-from lss_motion.sequence.check import clashes, jumps
-from lss_motion.sequence.model import (
+from lss_motion.show.check import clashes, jumps
+from lss_motion.show.model import (
     KEYFRAMES_MAX,
     TIME_MAX_S,
     Cue,

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.sequence.model import Interpolation, Keyframe
+from lss_motion.show.model import Interpolation, Keyframe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

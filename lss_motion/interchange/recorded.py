@@ -1,8 +1,8 @@
 """The recording of one joint, and the curve between keys that is compared with it.
 
 The interpolation between keys (`interpolated`, `Spans`) is that of the planner,
-`trajectory.curves`, so the error is that of the motion that will be played. The planner is in a
-layer above this package; a test compares the two.
+`planning.trajectory.curves`, so the error is that of the motion that will be played. The planner is
+in a layer above this package; a test compares the two.
 
 A spline exactly through the samples oscillates where the acceleration jumps, so a motion at its
 limits would be slowed down when it is planned again. Keys of a spline therefore follow the B-spline
@@ -19,8 +19,8 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
-from lss_motion.splines import clamped_slopes, monotone_slopes
+from lss_motion.show.model import LINEAR_RAMP_RATIO, Interpolation
+from lss_motion.show.splines import clamped_slopes, monotone_slopes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

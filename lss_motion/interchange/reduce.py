@@ -36,7 +36,7 @@ from lss_motion.interchange.sample_keys import (
     shared_keys,
     without_plain_keys,
 )
-from lss_motion.sequence.model import KEYFRAMES_MAX, Interpolation
+from lss_motion.show.model import KEYFRAMES_MAX, Interpolation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

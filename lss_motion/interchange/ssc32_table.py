@@ -25,7 +25,7 @@ from lss_motion.interchange.reader import (
     summarised,
     thinned,
 )
-from lss_motion.sequence.model import TIME_MAX_S
+from lss_motion.show.model import TIME_MAX_S
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """Work on servos off the stage: find, configure, watch, calibrate and measure them, record by hand.
 
 Nothing here has a port, a clock or a screen. The modules decide what to query and to command and
-interpret the answers; `player.Conversation` or the run loop sends, `lss_motion.connection` opens
-the ports, and `cli` interacts with the person.
+interpret the answers; `player.Conversation` or the run loop sends, `lss_motion.playing.connection`
+opens the ports, and `cli` interacts with the person.
 
 | file                | what it is                                          | who calls it        |
 |---------------------|-----------------------------------------------------|---------------------|

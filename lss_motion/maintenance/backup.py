@@ -15,8 +15,8 @@ from pydantic import Field
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, Name, Text, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
-from lss_motion.maintenance.discovery import family_of
 from lss_motion.maintenance.settings import value_text
+from lss_motion.playing.discovery import family_of
 from lss_motion.protocol.codec import storable
 from lss_motion.protocol.constants import ID_MAX
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from msgspec import Struct
 
-from lss_motion.player.checks import expected_frame
+from lss_motion.playing.player.checks import expected_frame
 from lss_motion.protocol.codec import language_table, storable
 
 if TYPE_CHECKING:

@@ -27,10 +27,10 @@ from lss_motion.maintenance.careful_legs import (
 )
 from lss_motion.maintenance.identify.joint_run import JointRun, State
 from lss_motion.maintenance.identify.trials import Kind, PlannedMove, TrialPlan, Window
-from lss_motion.player import handshake
-from lss_motion.player.estimators import LAG_MAX_S
-from lss_motion.player.handshake import SettingsDialogue
-from lss_motion.player.transactions import Item
+from lss_motion.playing.player import handshake
+from lss_motion.playing.player.estimators import LAG_MAX_S
+from lss_motion.playing.player.handshake import SettingsDialogue
+from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.codec import language_table, make_command
 from lss_motion.protocol.constants import PULSE_MAX_US, PULSE_MIN_US
 from lss_motion.protocol.framing import Command
@@ -39,7 +39,7 @@ from lss_motion.units import s_from_ns
 if TYPE_CHECKING:
     from lss_motion.maintenance.careful_legs import Leg, Measured
     from lss_motion.maintenance.identify.joint_run import PolledReading
-    from lss_motion.player.handshake import Answers
+    from lss_motion.playing.player.handshake import Answers
     from lss_motion.robot.model import Joint, Robot
 
 

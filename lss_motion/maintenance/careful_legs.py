@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.player.estimators import LAG_MAX_S
-from lss_motion.program.reference_grid import DURATION_MAX_MS
+from lss_motion.planning.program.reference_grid import DURATION_MAX_MS
+from lss_motion.playing.player.estimators import LAG_MAX_S
 from lss_motion.protocol.codec import language_table
 from lss_motion.robot.profile import Piece, ramp_setting_deg_s2, travel_speed
 from lss_motion.robot.servo_models import ramp_of_steps, ramp_steps

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.maintenance.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
-from lss_motion.player.unasked import unasked_text, unreadable_text
+from lss_motion.playing.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
+from lss_motion.playing.player.unasked import unasked_text, unreadable_text
 from lss_motion.protocol.constants import Family, SafeModeCause, Status
 from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from lss_motion.maintenance.discovery import ServoCondition, Unasked
+    from lss_motion.playing.discovery import ServoCondition, Unasked
     from lss_motion.robot.model import Bus, Robot
 
 

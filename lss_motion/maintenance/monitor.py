@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from lss_motion.maintenance.discovery import (
+from lss_motion.playing.discovery import (
     BAD_STATUS,
     CURRENT_MAX_A,
     HOT_C,
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
-from lss_motion.player.query_tracker import SLOW_TIMEOUT_NS, QueryTracker
-from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.transactions import Dialogue, Item
-from lss_motion.player.unasked import UnaskedWatch, disturbed_text
+from lss_motion.playing.player.query_tracker import SLOW_TIMEOUT_NS, QueryTracker
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.transactions import Dialogue, Item
+from lss_motion.playing.player.unasked import UnaskedWatch, disturbed_text
 from lss_motion.protocol.codec import language_table, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command, Reply
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.maintenance.settings import Target
-    from lss_motion.player.events import Event
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Bus
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from lss_motion.player.transactions import Item
+from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.codec import Language, storable
 from lss_motion.protocol.constants import Family, Led
 from lss_motion.protocol.framing import DISABLED, Command
@@ -19,7 +19,7 @@ from lss_motion.protocol.table import Device, ReplyShape, Suffix
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from lss_motion.player.handshake import Answers
+    from lss_motion.playing.player.handshake import Answers
     from lss_motion.protocol.table import Row
 
 

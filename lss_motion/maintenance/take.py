@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from lss_motion.interchange.importing import imported
 from lss_motion.interchange.reader import Channel, ForeignMotion, Unit
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+from lss_motion.show.model import Interpolation, Keyframe, Sequence
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.interchange.reduce import KeyFit
-    from lss_motion.maintenance.hands_on import Reading
+    from lss_motion.playing.hands_on import Reading
     from lss_motion.robot.model import Robot
 
     FloatArray = NDArray[np.float64]

@@ -173,7 +173,7 @@ class Joint(Located, frozen=True, kw_only=True):
     """How the turn of its servo is known; None: its range is within half a turn of 0."""
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4
-    """FPC of a streamed joint. Chosen: see `program.streamed`."""
+    """FPC of a streamed joint. Chosen: see `planning.program.streamed`."""
     filter_phase_ratio: float = 0.0
     """When in its period the filter of a streamed joint is assumed to step (`verify.driven`)."""
     lines: Mapping[str, int] = field(default_factory=dict)

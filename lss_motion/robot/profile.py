@@ -1,7 +1,8 @@
 """How a servo in EM1 moves on one `D…T…`: a ramp to a travel speed, a cruise, a ramp to rest.
 
 Angles are servo angles in degrees, instants are seconds on one clock. `robot.model.Response` names
-the source of each assumption. `program.response` computes the same over many commands and servos.
+the source of each assumption. `planning.program.response` computes the same over many commands and
+servos.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING
 
-from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.faults import FaultKind
+from lss_motion.system.clock import VirtualClock
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:

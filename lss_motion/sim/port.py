@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lss_motion.errors import BusError, LostPortError
-from lss_motion.runtime.port import Outbox
+from lss_motion.system.port import Outbox
 
 if TYPE_CHECKING:
-    from lss_motion.runtime.clock import Clock
     from lss_motion.sim.bus import SimBus
+    from lss_motion.system.clock import Clock
 
 
 class SimPort:

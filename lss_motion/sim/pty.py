@@ -12,9 +12,9 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.runtime.real_time import prompt_waits
-from lss_motion.runtime.signals import ENDING
 from lss_motion.sim.bus import bus_from_robot
+from lss_motion.system.real_time import prompt_waits
+from lss_motion.system.signals import ENDING
 from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
 
 if TYPE_CHECKING:

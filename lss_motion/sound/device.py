@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.closing import Closing
 from lss_motion.errors import install_command
 from lss_motion.files.source import known_names
 from lss_motion.sound.device_clock import DeviceClock
 from lss_motion.sound.files import STEREO
+from lss_motion.system.closing import Closing
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.show.splines import runs
 from lss_motion.sound.files import SoundReader
 from lss_motion.sound.spectra import grid_of, powers
-from lss_motion.splines import runs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

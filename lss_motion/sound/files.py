@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.closing import Closing
 from lss_motion.errors import InputError, install_command
+from lss_motion.system.closing import Closing
 
 if TYPE_CHECKING:
     from pathlib import Path

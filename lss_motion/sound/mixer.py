@@ -23,8 +23,8 @@ from lss_motion.units import NS_PER_S
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lss_motion.clock_leg import ClockLeg
     from lss_motion.sound.sources import Source
+    from lss_motion.system.clock_leg import ClockLeg
 
 FADE_S: Final = 0.05
 RATE_BAND: Final = 0.05

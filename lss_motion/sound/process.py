@@ -35,11 +35,11 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from lss_motion.clock_leg import ClockLeg
 from lss_motion.errors import InputError
 from lss_motion.sound.device import NoDeviceError, OpenStream
 from lss_motion.sound.mixer import FADE_S, Mixer, Voice
 from lss_motion.sound.sources import Source
+from lss_motion.system.clock_leg import ClockLeg
 from lss_motion.units import NS_PER_S
 
 LOOK_S: Final = 0.05

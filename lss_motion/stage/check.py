@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 from msgspec.structs import replace
 
-from lss_motion import shows
 from lss_motion.errors import InputError, LssMotionError, PlanningError
 from lss_motion.files.source import counted, duration_text, known_names
-from lss_motion.player.following import require_can_follow
-from lss_motion.player.stage_player import why_not_beside
+from lss_motion.planning import shows
+from lss_motion.playing.player.following import require_can_follow
+from lss_motion.playing.player.stage_player import why_not_beside
 from lss_motion.stage.model import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from lss_motion.shows import ReadRobot, Show
+    from lss_motion.planning.shows import ReadRobot, Show
     from lss_motion.stage.model import Stage, Trigger
 
 

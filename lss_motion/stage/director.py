@@ -27,7 +27,7 @@ from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import Cue, Kind, Signal, Trigger
 from lss_motion.stage.orders import Playing, ShowInfo, Waiting
 from lss_motion.stage.time_of_day import CronClock
-from lss_motion.stage.triggers import FREEWHEEL_S, Bags, TimecodeCues, Triggers
+from lss_motion.stage.triggering import FREEWHEEL_S, Bags, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:

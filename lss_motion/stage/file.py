@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal
 from pydantic import AfterValidator, Field
 
 from lss_motion.files.validation import FileModel, Name, Text, check_text
-from lss_motion.sequence.file import FileName, Reading
+from lss_motion.show.file import FileName, Reading
 from lss_motion.stage.model import Choice, Deed, StartMode
 
 CUES_MAX: Final = 1000

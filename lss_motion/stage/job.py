@@ -1,8 +1,9 @@
 """What the process of the player does for a stage, and its client: the operations and the state.
 
-`StageJob` is given to `remote.process`, as `remote.job.Job` is for one show. `StageSteering` hands
-the triggers and wishes of the client to the director, and sends what the stage does: each note as
-`stage_note`, and the whole state as `stage`, so that a client that comes later needs only the last.
+`StageJob` is given to `playing.remote.process`, as `playing.remote.job.Job` is for one show.
+`StageSteering` hands the triggers and wishes of the client to the director, and sends what the
+stage does: each note as `stage_note`, and the whole state as `stage`, so that a client that comes
+later needs only the last.
 """
 
 from __future__ import annotations
@@ -17,29 +18,29 @@ from msgspec import Struct, field
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
-from lss_motion.player.events import ShowBegan
-from lss_motion.remote import schema as m
-from lss_motion.remote import stage_messages as s
-from lss_motion.remote.player_end import LossRule, Steering
-from lss_motion.remote.telemetry import plan_hash
+from lss_motion.playing.player.events import ShowBegan
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.player_end import LossRule, Steering
+from lss_motion.playing.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.records import must_restart
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage.sending import opened
-from lss_motion.stage.timecode import OwnSource, spec_of
+from lss_motion.stage.stage_timecode import OwnSource, spec_of
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.player.events import Event
-    from lss_motion.player.player import Player
-    from lss_motion.remote.operator_end import Operator
-    from lss_motion.runtime.stage_report import StageReport
+    from lss_motion.playing.player.events import Event
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.remote.operator_end import Operator
+    from lss_motion.playing.stage_report import StageReport
     from lss_motion.stage.check import Planned
     from lss_motion.stage.director import Director
     from lss_motion.stage.model import Stage
     from lss_motion.stage.running import Record
-    from lss_motion.stage.timecode import StageTimecode
+    from lss_motion.stage.stage_timecode import StageTimecode
 
 RENEW_MAX_BYTES: Final = 1_000_000
 """Chosen: read in some 20 ms, by which no move is late that matters; an hour of six joints."""
@@ -58,7 +59,7 @@ class StageJob(Struct, frozen=True, kw_only=True):
     """A planned stage, and how it is run.
 
     `options` are fields of `running.Options`, `start_at` as an ISO text, and `log_folder`; others
-    are those of `stage_run.perform_stage`.
+    are those of `playing.stage_run.perform_stage`.
     """
 
     planned: Planned
@@ -176,7 +177,7 @@ class StageSteering(Steering):
 
     def begin(self, run: StageRun) -> None:
         """Send the first event of a stage."""
-        from lss_motion.connection import is_simulated
+        from lss_motion.playing.connection import is_simulated
 
         self._run = self._own = run
         self._hashes = {name: plan_hash(one).hex() for name, one in run.programs.items()}

@@ -449,7 +449,7 @@ class _Loader:
         entry = self.content.sync
         line = self.source.line(("sync", "timecode"))
         from lss_motion.stage.sending import spec_of as send_spec_of
-        from lss_motion.stage.timecode import spec_of
+        from lss_motion.stage.stage_timecode import spec_of
 
         timecode = (
             None if entry.timecode is None else TimecodeInput(**dict(entry.timecode), line=line)

@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from lss_motion.runtime.log import FIRST_LINE
-from lss_motion.runtime.real_time import lower_priority
+from lss_motion.playing.log import FIRST_LINE
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.process import ChildProcess
 from lss_motion.system.reactor import serve
+from lss_motion.system.real_time import lower_priority
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.player.events import Event
+    from lss_motion.playing.player.events import Event
     from lss_motion.stage.model import LogRule
     from lss_motion.system.messages import MessagePipe
 

@@ -362,7 +362,7 @@ def _figure(night: Night) -> Figure:
     from matplotlib.dates import DateFormatter
     from matplotlib.figure import Figure
 
-    from lss_motion.picture import EVENT, KEYFRAME, TEXT
+    from lss_motion.planning.picture import EVENT, KEYFRAME, TEXT
 
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     hot, amps, plays = figure.subplots(3, 1, sharex=True)

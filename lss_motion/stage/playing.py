@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lss_motion.player.events import Event, ShowBegan, ShowSummary
-    from lss_motion.runtime.runner import Tap
+    from lss_motion.playing.player.events import Event, ShowBegan, ShowSummary
+    from lss_motion.playing.runner import Tap
     from lss_motion.stage import orders
 
 

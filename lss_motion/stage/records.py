@@ -122,7 +122,7 @@ class Records:
         self._refusals.clear()
 
     def state_of(self, director: Director, now_ns: int) -> Record:
-        """Return what operators see of the director: fields of `remote.stage_messages`."""
+        """Return what operators see of the director: fields of `playing.remote.stage_messages`."""
         main = director.main
         return {
             "show": None if main is None else main.show,

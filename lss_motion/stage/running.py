@@ -1,8 +1,8 @@
 """Couples the director and the player, in the process of the player and in virtual time.
 
 `run_stage` plays a stage until it is stopped. It makes one run of the player after the other
-(`stage_run.perform_stage`): a run ends with a fault, or when a resting figure goes limp, and the
-director says when the next one begins. Between two runs nothing is open and nothing moves.
+(`playing.stage_run.perform_stage`): a run ends with a fault, or when a resting figure goes limp,
+and the director says when the next one begins. Between two runs nothing is open and nothing moves.
 
 `StageRun` is the observer and the controls of these runs. It reads the sensors of cues, gives the
 director the time, the readings and the events, and obeys its orders at the next turn. All of this
@@ -20,12 +20,19 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, LssMotionError
-from lss_motion.perform import Observer
-from lss_motion.player.events import Faulted, Phase, PhaseEntered, ShowBegan, ShowOver, Warned
-from lss_motion.player.stage_player import StagePlayer
+from lss_motion.playing.perform import Observer
+from lss_motion.playing.player.events import (
+    Faulted,
+    Phase,
+    PhaseEntered,
+    ShowBegan,
+    ShowOver,
+    Warned,
+)
+from lss_motion.playing.player.stage_player import StagePlayer
+from lss_motion.playing.sound_choice import SoundChoice
+from lss_motion.playing.stage_run import perform_stage
 from lss_motion.robot.on_fault import ENDING, Cause
-from lss_motion.runtime.clock import MonotonicClock
-from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director
 from lss_motion.stage.log import Ring
@@ -34,23 +41,23 @@ from lss_motion.stage.orders import ShowInfo
 from lss_motion.stage.playing import Both, Playing
 from lss_motion.stage.records import Records, must_restart, renewed, state_word
 from lss_motion.stage.sending import Sending
-from lss_motion.stage.timecode import StageTimecode
-from lss_motion.stage_run import perform_stage
+from lss_motion.stage.stage_timecode import StageTimecode
+from lss_motion.system.clock import MonotonicClock
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from lss_motion.player.events import Event, ShowSummary
-    from lss_motion.player.player import Player
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import Event, ShowSummary
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.runner import Tap
+    from lss_motion.playing.stage_run import StageResult
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.runner import Tap
     from lss_motion.stage.check import Planned
     from lss_motion.stage.model import Stage
     from lss_motion.stage.sending import Out
-    from lss_motion.stage_run import StageResult
-    from lss_motion.sync.source import Legs
+    from lss_motion.stage.timecode.source import Legs
 
     Record = dict[str, Any]
 
@@ -59,7 +66,7 @@ MEASURE_NS: Final = NS_PER_S
 SAMPLE_NS: Final = 60 * NS_PER_S
 """A line about them in the log: 200 kilobytes in a day."""
 RATE_EVERY_NS: Final = 100 * NS_PER_MS
-"""As `remote.player_end.RATE_EVERY_NS`."""
+"""As `playing.remote.player_end.RATE_EVERY_NS`."""
 PORT_NS: Final = 5 * NS_PER_S
 """A port that is missing at the start is tried again this much later."""
 

@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from lss_motion.clock_leg import ClockLeg
 from lss_motion.errors import InputError
-from lss_motion.sync.options import read_send
+from lss_motion.stage.timecode.options import read_send
+from lss_motion.system.clock_leg import ClockLeg
 
 if TYPE_CHECKING:
     import contextlib
     from collections.abc import Callable, Sequence
 
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.player import Player
     from lss_motion.stage.model import SendOutput
     from lss_motion.stage.orders import Playing
-    from lss_motion.sync.options import SendSpec
+    from lss_motion.stage.timecode.options import SendSpec
 
 
 class Out(Protocol):
-    """A receiver of timecode: a `sync.source.TimecodeOut`, or a test."""
+    """A receiver of timecode: a `stage.timecode.source.TimecodeOut`, or a test."""
 
     def send_clock(self, leg: ClockLeg, show: str) -> None:
         """Send the clock of a show from now on; the same leg again changes nothing."""
@@ -39,7 +39,7 @@ def opened(
     outputs: Sequence[SendOutput], stack: contextlib.ExitStack, tell: Callable[[str], None]
 ) -> list[Out]:
     """Open the receivers; one that cannot be opened is named, and the stage plays without it."""
-    from lss_motion.sync.source import TimecodeOut
+    from lss_motion.stage.timecode.source import TimecodeOut
 
     outs: list[Out] = []
     for output in outputs:

@@ -1,4 +1,4 @@
-"""The HTTP interface of a stage: the operations of `remote.schema` as paths, its state, metrics.
+"""The HTTP interface of a stage: the operations of `playing.remote.schema` as paths, its state, metrics.
 
     POST /trigger/NAME        fires the cues with `http: NAME`
     POST /cue/NAME            fires a cue by its name
@@ -23,8 +23,8 @@ from starlette.routing import Route
 
 from lss_motion import __version__
 from lss_motion.errors import InputError
-from lss_motion.remote import schema as m
-from lss_motion.remote import stage_messages as stage
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as stage
 from lss_motion.studio.access import Role
 from lss_motion.studio.web import json_body
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.routing import BaseRoute
 
-    from lss_motion.triggers.sources import Gate
+    from lss_motion.stage.triggers.sources import Gate
 
     Ask = Callable[[m.AnyOperation, str, Callable[[str | None], None]], None]
 

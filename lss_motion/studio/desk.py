@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from msgspec import Struct
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.remote import schema as m
-from lss_motion.remote.stage_messages import StageOperation
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.stage_messages import StageOperation
 from lss_motion.studio.planner import file_digest
 from lss_motion.studio.playing import PlayerProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from lss_motion.remote.player_end import OnLost
+    from lss_motion.playing.remote.player_end import OnLost
     from lss_motion.studio.document import Document
     from lss_motion.studio.hub import Hub
     from lss_motion.studio.planner import Reply

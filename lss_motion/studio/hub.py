@@ -11,7 +11,7 @@ import json
 from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.remote import schema as m
+from lss_motion.playing.remote import schema as m
 from lss_motion.studio.access import Role
 from lss_motion.studio.client import TELEMETRY, Client
 

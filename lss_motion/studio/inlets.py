@@ -16,20 +16,20 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.stage.model import Kind
-from lss_motion.triggers import mqtt
-from lss_motion.triggers.gpio import GpioPins
-from lss_motion.triggers.midi import MidiPort
-from lss_motion.triggers.mqtt import MqttLink
-from lss_motion.triggers.osc_port import OscPort
-from lss_motion.triggers.sacn import RATE_HZ, Levels
-from lss_motion.triggers.sacn_port import SacnPort
-from lss_motion.triggers.sources import AllowList, Complaints, Crossings, Gate
+from lss_motion.stage.triggers import mqtt
+from lss_motion.stage.triggers.gpio import GpioPins
+from lss_motion.stage.triggers.midi import MidiPort
+from lss_motion.stage.triggers.mqtt import MqttLink
+from lss_motion.stage.triggers.osc_port import OscPort
+from lss_motion.stage.triggers.sacn import RATE_HZ, Levels
+from lss_motion.stage.triggers.sacn_port import SacnPort
+from lss_motion.stage.triggers.sources import AllowList, Complaints, Crossings, Gate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from lss_motion.stage.model import Stage
-    from lss_motion.triggers.sources import Sink
+    from lss_motion.stage.triggers.sources import Sink
 
 AGAIN_S: Final = 5.0
 """After so long a source that could not be opened is tried again."""

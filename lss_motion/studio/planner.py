@@ -27,10 +27,10 @@ from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from lss_motion.gait.model import Gait
-    from lss_motion.remote.schema import FileKind
+    from lss_motion.planning.shows import Show
+    from lss_motion.playing.remote.schema import FileKind
     from lss_motion.robot.model import Robot
-    from lss_motion.shows import Show
+    from lss_motion.show.gait.model import Gait
     from lss_motion.stage.check import Planned
     from lss_motion.stage.model import Stage
 
@@ -89,7 +89,7 @@ class Reply(Struct, frozen=True, kw_only=True):
 
 def reply_to(request: Request) -> Reply:
     """Return the plan of a request, or what is wrong; raises nothing about the files."""
-    from lss_motion.shows import is_program, is_robot_file
+    from lss_motion.planning.shows import is_program, is_robot_file
     from lss_motion.stage import is_stage_file
 
     found: dict[str, Any] = {"files": _first_files(request)}
@@ -132,9 +132,9 @@ def file_digest(path: Path) -> str:
 
 
 def _robot(path: Path, request: Request) -> Robot:
-    from lss_motion.connection import with_port
+    from lss_motion.planning.shows import with_backup
+    from lss_motion.playing.connection import with_port
     from lss_motion.robot.load import load_robot
-    from lss_motion.shows import with_backup
 
     return with_port(with_backup(load_robot(path), request.backup), request.port)
 
@@ -148,10 +148,10 @@ def _files_of_robot(robot: Robot) -> list[Path]:
 
 
 def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
-    from lss_motion.connection import is_simulated
-    from lss_motion.remote.live_end import LiveJob
-    from lss_motion.remote.process import packed
-    from lss_motion.remote.scan_job import ScanJob
+    from lss_motion.maintenance.scan_job import ScanJob
+    from lss_motion.playing.connection import is_simulated
+    from lss_motion.playing.remote.live_end import LiveJob
+    from lss_motion.playing.remote.process import packed
     from lss_motion.studio.robot_view import robot_view
 
     return {
@@ -168,14 +168,14 @@ def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
 
 def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a show; those that are known so far go to `found` on the way."""
-    from lss_motion.gait import is_gait_file
-    from lss_motion.remote.job import Job
-    from lss_motion.remote.process import packed
-    from lss_motion.remote.telemetry import plan_hash
-    from lss_motion.sequence.functions import calls_of
-    from lss_motion.shows import compiled, files_of, load, load_gait
+    from lss_motion.planning.shows import compiled, files_of, load, load_gait
+    from lss_motion.planning.summaries import program_lines
+    from lss_motion.playing.remote.job import Job
+    from lss_motion.playing.remote.process import packed
+    from lss_motion.playing.remote.telemetry import plan_hash
+    from lss_motion.show.functions import calls_of
+    from lss_motion.show.gait import is_gait_file
     from lss_motion.studio.view import view_of
-    from lss_motion.summaries import program_lines
 
     is_gait = is_gait_file(request.path)
     found |= {"kind": "gait" if is_gait else "sequence", "title": request.path.stem}
@@ -206,9 +206,9 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
 
 def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a stage; those that are known so far go to `found` on the way."""
-    from lss_motion.connection import with_port
-    from lss_motion.remote.process import packed
-    from lss_motion.shows import files_of
+    from lss_motion.planning.shows import files_of
+    from lss_motion.playing.connection import with_port
+    from lss_motion.playing.remote.process import packed
     from lss_motion.stage.check import plan_stage, stage_lines
     from lss_motion.stage.job import stage_job
     from lss_motion.stage.load import load_stage
@@ -242,11 +242,11 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
 
 def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a stage with figures, for the computer that conducts."""
-    from lss_motion.network.plans import planned_stage
-    from lss_motion.network.stage_job import conductor_job
-    from lss_motion.remote.process import packed
-    from lss_motion.remote.telemetry import plan_hash
-    from lss_motion.shows import files_of
+    from lss_motion.planning.shows import files_of
+    from lss_motion.playing.remote.process import packed
+    from lss_motion.playing.remote.telemetry import plan_hash
+    from lss_motion.stage.hosts.plans import planned_stage
+    from lss_motion.stage.hosts.stage_job import conductor_job
 
     if request.figure is None or request.figure != stage.conductor:
         raise InputError(f"the stage has figures; {stage.conductor} conducts it: --figure")
@@ -289,7 +289,7 @@ def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[s
 
 def _plans(planned: Planned, folder: Path | None) -> dict[str, str]:
     """Return the plan of each show; write the views that are not in the folder yet."""
-    from lss_motion.remote.telemetry import plan_hash
+    from lss_motion.playing.remote.telemetry import plan_hash
 
     plans = {}
     for name, show in planned.shows.items():
@@ -311,7 +311,7 @@ def _write_view(show: Show | None, plan: str, folder: Path | None) -> None:
 
 def _notes(show: Show) -> Iterator[str]:
     """Yield what a person should know before the show is played."""
-    from lss_motion.sequence.functions import call_lines
+    from lss_motion.show.functions import call_lines
 
     yield from call_lines(show.program.cues)
     if show.program.is_endless:

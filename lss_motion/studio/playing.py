@@ -11,14 +11,14 @@ import json
 import socket
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.remote import schema as m
-from lss_motion.remote.process import start_process
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.process import start_process
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lss_motion.remote.player_end import OnLost
+    from lss_motion.playing.remote.player_end import OnLost
     from lss_motion.studio.stopping import StopProcess
 
 BEAT_S: Final = 0.5
@@ -49,7 +49,7 @@ class PlayerProcess:
         on_lost: OnLost,
         options: dict[str, Any],
     ) -> None:
-        from lss_motion.remote.player_end import LossRule
+        from lss_motion.playing.remote.player_end import LossRule
 
         self._on_event, self._on_telemetry, self._on_end = on_event, on_telemetry, on_end
         self._stops = stops

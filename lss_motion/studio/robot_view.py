@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lss_motion.errors import InputError
-from lss_motion.gait.figure import figure_view
+from lss_motion.show.gait.figure import figure_view
 
 if TYPE_CHECKING:
-    from lss_motion.gait.model import Gait
     from lss_motion.robot.model import Robot
+    from lss_motion.show.gait.model import Gait
 
 
 def robot_view(robot: Robot, gait: Gait | None = None) -> dict[str, object]:

@@ -15,17 +15,17 @@ from msgspec import Struct, field
 
 from lss_motion import __version__
 from lss_motion.errors import LssMotionError
-from lss_motion.remote import schema as m
-from lss_motion.remote.telemetry import Telemetry
-from lss_motion.runtime.service import Notifier
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.stage.model import Kind
+from lss_motion.stage.triggers.alerts import WebHook
+from lss_motion.stage.triggers.mqtt import discovery
+from lss_motion.stage.triggers.sources import AllowList, Complaints, Gate
 from lss_motion.studio.api import Api, marked
 from lss_motion.studio.inlets import ALWAYS, Inlets, addresses
 from lss_motion.studio.keeper import Keeper, Seen
 from lss_motion.studio.metrics import Metrics
-from lss_motion.triggers.alerts import WebHook
-from lss_motion.triggers.mqtt import discovery
-from lss_motion.triggers.sources import AllowList, Complaints, Gate
+from lss_motion.system.service import Notifier
 
 if TYPE_CHECKING:
     from collections.abc import Callable

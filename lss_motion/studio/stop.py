@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
 
-from lss_motion.remote.schema import Estop, Stop
+from lss_motion.playing.remote.schema import Estop, Stop
 from lss_motion.studio.access import Denied, Door, Purpose, asked_of, decide
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 

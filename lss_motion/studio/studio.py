@@ -9,7 +9,7 @@ from msgspec import Struct, field
 
 from lss_motion import __version__
 from lss_motion.errors import InputError
-from lss_motion.remote import schema as m
+from lss_motion.playing.remote import schema as m
 from lss_motion.studio.access import (
     CODE_VALID_S,
     ROLE_NAMES,

@@ -19,7 +19,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.program.verify import driven, profiles
+from lss_motion.planning.program.verify import driven, profiles
+from lss_motion.planning.trajectory.cues import all_cues, all_marks
+from lss_motion.planning.trajectory.model import LoopedSpan, PathMotion
+from lss_motion.planning.trajectory.playlist import PlayListPass
+from lss_motion.planning.trajectory.tracks import ParallelPass
 from lss_motion.robot.profile import profile_lead_s
 from lss_motion.studio.view_curves import (
     ACCEL_RATIO,
@@ -31,10 +35,6 @@ from lss_motion.studio.view_curves import (
     fitted,
     packed,
 )
-from lss_motion.trajectory.cues import all_cues, all_marks
-from lss_motion.trajectory.model import LoopedSpan, PathMotion
-from lss_motion.trajectory.playlist import PlayListPass
-from lss_motion.trajectory.tracks import ParallelPass
 from lss_motion.units import NS_PER_US, US_PER_S, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.planning.shows import Show
+    from lss_motion.planning.trajectory.model import Mark, Pass, Trajectory
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.sequence.model import Cue, Keyframe, Sequence
-    from lss_motion.shows import Show
-    from lss_motion.trajectory.model import Mark, Pass, Trajectory
+    from lss_motion.show.model import Cue, Keyframe, Sequence
 
     FloatArray = NDArray[np.float64]
     PeaksOf = Callable[[Path], "Peaks"]
@@ -61,7 +61,7 @@ KNOTS_MAX: Final = 60_000
 LINE_STEPS_MAX: Final = 2000
 LINE_STEP_MIN_S: Final = 0.1
 """The use of a line is given for steps of at least this. It is the span that
-`program.line.WORST_WINDOW_US` judges."""
+`planning.program.line.WORST_WINDOW_US` judges."""
 
 SAME_S: Final = 1e-6
 AUTHORED_STEP_S: Final = 0.02

@@ -24,7 +24,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Generic
 
-from lss_motion.closing import Closing
+from lss_motion.system.closing import Closing
 from lss_motion.system.messages import OUTBOX_MAX_BYTES, MessagePipe, Received, TypedPipe
 from lss_motion.system.reactor import wait_for
 

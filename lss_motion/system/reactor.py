@@ -3,7 +3,7 @@
     ready = wait_for([port.fileno()], 0.02)
     serve(pipe, obey, turn)
 
-The player's loop (`runtime.runner`) waits through its clock, which waits here in real time.
+The player's loop (`playing.runner`) waits through its clock, which waits here in real time.
 
 A helper process begins with `begin`. Signals that end a program do nothing there: a helper ends
 when its pipe does, after its last work, and a service manager that signals a whole group must not

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lss_motion.gait.figure import figure_of_legs
-from lss_motion.gait.load import load_gait
 from lss_motion.robot.load import load_robot
+from lss_motion.show.gait.figure import figure_of_legs
+from lss_motion.show.gait.load import load_gait
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 PLACED = """

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benches.libltc import STANDARDS, made_by_libltc, missing, read_by_libltc
-from lss_motion.sync.ltc import LtcDecoder, sound_of
-from lss_motion.sync.timecode import Timecode, timecode_of
+from lss_motion.stage.timecode.ltc import LtcDecoder, sound_of
+from lss_motion.stage.timecode.timecode import Timecode, timecode_of
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing() or "it is there")
 

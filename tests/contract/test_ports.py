@@ -10,16 +10,16 @@ import pytest
 from lss_motion.errors import BusError
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Robot, ServoModel
-from lss_motion.runtime.clock import MonotonicClock, VirtualClock
-from lss_motion.runtime.port import SerialPort
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.port import SimPort
+from lss_motion.system.clock import MonotonicClock, VirtualClock
+from lss_motion.system.port import SerialPort
 from tests.joints import joint
 from tests.served_bus import served_bus
 
 if TYPE_CHECKING:
-    from lss_motion.runtime.clock import Clock
-    from lss_motion.runtime.port import Port
+    from lss_motion.system.clock import Clock
+    from lss_motion.system.port import Port
 
 ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
 ROBOT = Robot(

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion.trajectory.solver import Cells, _stage_solver, fastest_squares
+from lss_motion.planning.trajectory.solver import Cells, _stage_solver, fastest_squares
 
 PYPROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 CHANGED = (
     f"toppra {importlib.metadata.version('toppra')} changed the private solver wrapper that "
-    f"lss_motion.trajectory.solver uses; adapt `_stage_solver` or narrow toppra in "
+    f"lss_motion.planning.trajectory.solver uses; adapt `_stage_solver` or narrow toppra in "
     f"pyproject.toml"
 )
 STEP_S = 0.1

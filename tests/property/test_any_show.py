@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
-from lss_motion.sequence.check import loop_problem
-from lss_motion.sequence.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.check import loop_problem
+from lss_motion.show.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
 
 MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=600.0, wire_per_deg=10)
 STEPS_S = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 1.0)

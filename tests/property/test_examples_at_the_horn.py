@@ -8,8 +8,9 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion import api, shows
-from lss_motion.perform import Observer, perform
+from lss_motion.planning import shows
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
 from lss_motion.sim.bus import servos_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"

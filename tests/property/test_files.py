@@ -19,10 +19,10 @@ from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.check import check_sequence
-from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
-from lss_motion.sequence.write import sequence_text
+from lss_motion.show.check import check_sequence
+from lss_motion.show.load import load_sequence
+from lss_motion.show.model import Interpolation, Keyframe, Sequence, Timing
+from lss_motion.show.write import sequence_text
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 WAVE = (EXAMPLES / "wave.yaml").read_text(encoding="utf-8")

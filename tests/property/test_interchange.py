@@ -30,7 +30,7 @@ from lss_motion.interchange import (
 )
 from lss_motion.interchange.recorded import interpolated
 from lss_motion.interchange.reduce import ROUNDING_DEG
-from lss_motion.sequence.model import Interpolation
+from lss_motion.show.model import Interpolation
 
 PAGE = bytearray(512)
 PAGE[:3], PAGE[15], PAGE[16], PAGE[20], PAGE[22] = b"bow", 1, 10, 1, 32

@@ -7,9 +7,9 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Robot
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.model import Interpolation, Keyframe, Sequence
 from tests.joints import joint
 from tests.least_deviation import optimum
 

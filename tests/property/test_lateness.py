@@ -9,14 +9,14 @@ import pytest
 from msgspec.structs import replace
 
 from benches.shows import lively_show, robot_of
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Robot
-from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.model import Keyframe, Sequence
 from tests.joints import joint
 from tests.optimum import least_lateness
 
 if TYPE_CHECKING:
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.planning.trajectory.model import Trajectory
 
 SHOWS = 24
 RATIO = 1.02

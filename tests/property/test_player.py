@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.player.estimators import OFFSET_MAX_DEG, DisturbanceEstimator, HornEstimator
-from lss_motion.player.show_clock import ShowClock
+from lss_motion.playing.player.estimators import OFFSET_MAX_DEG, DisturbanceEstimator, HornEstimator
+from lss_motion.playing.player.show_clock import ShowClock
 
 MS = 1_000_000
 

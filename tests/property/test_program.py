@@ -11,29 +11,29 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from lss_motion.program import segments
-from lss_motion.program.compile import compile_program
-from lss_motion.program.fit import TimedFit
-from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.moves import fitted_profiles, profiles_from_rest, replayed
-from lss_motion.program.reference_grid import GRID_S, LimitArrays, Reference, ServoLimits
-from lss_motion.program.response import (
+from lss_motion.planning.program import segments
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.fit import TimedFit
+from lss_motion.planning.program.line import LineSchedule, line_use
+from lss_motion.planning.program.moves import fitted_profiles, profiles_from_rest, replayed
+from lss_motion.planning.program.reference_grid import GRID_S, LimitArrays, Reference, ServoLimits
+from lss_motion.planning.program.response import (
     PiecewiseProfile,
     States,
     durations_for,
     speeds_for,
     trapezoids,
 )
-from lss_motion.program.search import SEGMENT_MIN_S
-from lss_motion.program.text import from_text, to_text
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.search import SEGMENT_MIN_S
+from lss_motion.planning.program.text import from_text, to_text
+from lss_motion.planning.program.verify import profiles
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.profile import Piece, Profile, profile_lead_s, trapezoid, travel_speed
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
-from lss_motion.trajectory.planner import plan
 from lss_motion.units import line_time_ns
 
 LAWS = settings(

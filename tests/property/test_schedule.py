@@ -7,18 +7,18 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from lss_motion.program.compile import PREROLL_S, compile_program
-from lss_motion.program.drives import late_max_s
-from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.model import received_us
-from lss_motion.program.move_table import moves_of, sizes_bytes
-from lss_motion.program.reference_grid import GRID_S, Reference
-from lss_motion.program.schedule import Schedule, slot_us
+from lss_motion.planning.program.compile import PREROLL_S, compile_program
+from lss_motion.planning.program.drives import late_max_s
+from lss_motion.planning.program.line import LineSchedule, line_use
+from lss_motion.planning.program.model import received_us
+from lss_motion.planning.program.move_table import moves_of, sizes_bytes
+from lss_motion.planning.program.reference_grid import GRID_S, Reference
+from lss_motion.planning.program.schedule import Schedule, slot_us
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.units import line_time_ns, us_from_s
 
 LAWS = settings(

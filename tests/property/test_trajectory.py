@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.path import peaks
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import verify
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
-from lss_motion.sequence.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
-from lss_motion.trajectory.path import peaks
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.show.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
 
 if TYPE_CHECKING:
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.planning.trajectory.model import Trajectory
 
 MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
 RANGE_DEG = 3600.0

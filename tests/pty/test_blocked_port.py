@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import EXIT_INTERRUPTED, EXIT_UNREACHABLE
-from lss_motion.runtime.port import SerialPort
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.system.port import SerialPort
 
 GAIT = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
 pytestmark = pytest.mark.realtime

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.load import load_sequence
+from lss_motion.show.load import load_sequence
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.hand import Hand
 from tests.served_bus import served_bus

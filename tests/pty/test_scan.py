@@ -9,8 +9,8 @@ import serial
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime import port as runtime_port
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.system import port as runtime_port
 
 pytestmark = pytest.mark.realtime
 

@@ -14,9 +14,9 @@ import pytest
 
 import lss_motion as lss
 from benches import sound_recorder
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase
-from lss_motion.runtime.sound_choice import SoundChoice
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.sound_choice import SoundChoice
 
 soundfile = pytest.importorskip(
     "soundfile", reason="sound files: pip install 'lss-motion[sound]'", exc_type=ImportError

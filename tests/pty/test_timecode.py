@@ -15,10 +15,10 @@ import pytest
 
 from benches import libltc, sound_recorder
 from lss_motion.errors import InputError
-from lss_motion.sync.options import read_follow, read_send
-from lss_motion.sync.packets import ARTNET_PORT, read_artnet, read_fpp
-from lss_motion.sync.source import TimecodeOut, TimecodeSource
-from lss_motion.sync.timecode import FPS_25, Timecode, timecode_of
+from lss_motion.stage.timecode.options import read_follow, read_send
+from lss_motion.stage.timecode.packets import ARTNET_PORT, read_artnet, read_fpp
+from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
+from lss_motion.stage.timecode.timecode import FPS_25, Timecode, timecode_of
 
 pytestmark = pytest.mark.realtime
 WAIT_S = 30.0
@@ -201,7 +201,7 @@ class ShowStub:
     """A player whose show begins at an instant and runs evenly."""
 
     def __init__(self, start_ns):
-        from lss_motion.player.show_clock import ShowClock
+        from lss_motion.playing.player.show_clock import ShowClock
 
         self.start_ns, self.show, self.show_ended_ns = start_ns, self, None
         self.clock = ShowClock(start_ns - 10**9, -1.0, 1.0)

@@ -20,10 +20,10 @@ import pytest
 from rig.stage import may_make_namespaces
 
 from benches import sound_recorder
-from lss_motion.triggers.midi import MidiPort
-from lss_motion.triggers.mqtt import MqttLink, broker_of
-from lss_motion.triggers.osc_port import OscPort
-from lss_motion.triggers.sources import AllowList, Gate
+from lss_motion.stage.triggers.midi import MidiPort
+from lss_motion.stage.triggers.mqtt import MqttLink, broker_of
+from lss_motion.stage.triggers.osc_port import OscPort
+from lss_motion.stage.triggers.sources import AllowList, Gate
 
 pytestmark = pytest.mark.realtime
 WAIT_S = 30.0
@@ -152,9 +152,9 @@ wait $receiver
 """
 RECEIVER = """
 import asyncio
-from lss_motion.triggers.sacn import Levels
-from lss_motion.triggers.sacn_port import SacnPort
-from lss_motion.triggers.sources import AllowList, Gate
+from lss_motion.stage.triggers.sacn import Levels
+from lss_motion.stage.triggers.sacn_port import SacnPort
+from lss_motion.stage.triggers.sources import AllowList, Gate
 
 
 async def run():

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion import shows
+from lss_motion.planning import shows
 from lss_motion.sim.bus import bus_from_robot
 from tests.pty.test_careful import read_until
 from tests.served_bus import ServedBus

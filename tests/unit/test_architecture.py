@@ -66,7 +66,13 @@ def test_every_file_and_name_of_the_page_exists():
 
 
 @pytest.mark.parametrize(
-    "span", ["player/no.py", "player/player.py:Play", "player/player.py:Player.no", "no_folder/"]
+    "span",
+    [
+        "player/no.py",
+        "playing/player/player.py:Play",
+        "playing/player/player.py:Player.no",
+        "no_folder/",
+    ],
 )
 def test_what_does_not_exist_is_noticed(span):
     assert problem(span)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.connection import connect, with_port
 from lss_motion.errors import BusError, InputError
-from lss_motion.player.transactions import Item
+from lss_motion.playing.connection import connect, with_port
+from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus
-from lss_motion.runtime.clock import VirtualClock
+from lss_motion.system.clock import VirtualClock
 
 ROBOT = """
 robot: two

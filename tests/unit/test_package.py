@@ -15,7 +15,7 @@ import pytest
 
 import lss_motion as lss
 from lss_motion.errors import install_command
-from lss_motion.program.text import from_text
+from lss_motion.planning.program.text import from_text
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 LINE_CHARS_MAX = 100

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion import robustness, shows
 from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
-from lss_motion.robustness import robust_lines, trials
+from lss_motion.planning import shows
+from lss_motion.playing import robustness
+from lss_motion.playing.robustness import robust_lines, trials
 
 ARM = Path(__file__).resolve().parents[2] / "sequences" / "robots" / "desk_arm.yaml"
 SHOW = """\

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import show_cache, shows
 from lss_motion.cli import main as program
 from lss_motion.cli import play
 from lss_motion.files import cache
-from lss_motion.program.move_table import table_of
+from lss_motion.planning import show_cache, shows
+from lss_motion.planning.program.move_table import table_of
 
 EXAMPLES = Path(__file__).parents[2] / "sequences"
 
@@ -148,7 +148,7 @@ def test_another_version_of_the_program_is_a_miss(nod, folder, monkeypatch):
     package = folder / "package"
     (package / "trajectory").mkdir(parents=True)
     (package / "trajectory" / "planner.py").write_text("A = 1\n")
-    monkeypatch.setattr(show_cache, "__file__", str(package / "show_cache.py"))
+    monkeypatch.setattr(show_cache, "__file__", str(package / "planning/show_cache.py"))
     for count in (2, 2):
         nod.cached()
         assert nod.count == count

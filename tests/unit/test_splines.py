@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from lss_motion.splines import clamped_slopes, monotone_slopes, runs
+from lss_motion.show.splines import clamped_slopes, monotone_slopes, runs
 
 
 def knots(count: int, columns: int, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:

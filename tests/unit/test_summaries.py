@@ -8,14 +8,14 @@ import math
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.program.compile import compile_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.shows import Show
+from lss_motion.planning.summaries import limit_uses, plan_lines, program_lines, show_as_json
+from lss_motion.planning.trajectory import plan_cache
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Robot
-from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
-from lss_motion.shows import Show
-from lss_motion.summaries import limit_uses, plan_lines, program_lines, show_as_json
-from lss_motion.trajectory import plan_cache
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.load import load_sequence
+from lss_motion.show.model import Keyframe, Layer, Sequence, Timing
 from tests.joints import joint
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import api
-from lss_motion.perform import Observer, Result, perform
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, Result, perform
 from lss_motion.robot.model import Bus, Robot
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim import bus as sim_bus
 from lss_motion.sim.faults import FaultKind
 from tests.joints import joint

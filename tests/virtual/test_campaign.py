@@ -8,7 +8,7 @@ from campaign.shows import NAMES, show
 from campaign.stale import lawless_ns
 from msgspec.structs import replace
 
-from lss_motion.player import checks, handshake, joint_state, streamer
+from lss_motion.playing.player import checks, handshake, joint_state, streamer
 from lss_motion.sim.faults import Fault, FaultKind
 
 SEEDS, CHUNKS = range(80), 8

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.connection import connect
 from lss_motion.maintenance.careful import CarefulRun
 from lss_motion.maintenance.careful_legs import way_of
 from lss_motion.maintenance.identify.joint_run import State
-from lss_motion.player import handshake
+from lss_motion.playing.connection import connect
+from lss_motion.playing.player import handshake
+from lss_motion.playing.runner import run
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.runner import run
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import TICK_NS
+from lss_motion.system.clock import VirtualClock
 
 ROBOT = """
 robot: bench

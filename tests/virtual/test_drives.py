@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import api
-from lss_motion.player.events import Warned
-from lss_motion.program.streamed import filter_accel
+from lss_motion.planning.program.streamed import filter_accel
+from lss_motion.playing import api
+from lss_motion.playing.player.events import Warned
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics

@@ -9,8 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.player.events import CueReached, MarkPassed
-from lss_motion.sequence.model import Cue, Sequence, Step
+from lss_motion.playing.player.events import CueReached, MarkPassed
+from lss_motion.show.model import Cue, Sequence, Step
 from lss_motion.units import line_time_ns
 
 RED, BLUE, WHITE = 1, 3, 7

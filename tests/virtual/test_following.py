@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion import shows
-from lss_motion.player.events import Phase, PhaseEntered
-from lss_motion.player.following import SLOW_RATE, Following, FollowRule, Step
-from lss_motion.player.show_clock import Leg
+from lss_motion.planning import shows
+from lss_motion.playing.player.events import Phase, PhaseEntered
+from lss_motion.playing.player.following import SLOW_RATE, Following, FollowRule, Step
+from lss_motion.playing.player.show_clock import Leg
 
 S = 1_000_000_000
 LEG_NS = S // 10

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion import shows
-from lss_motion.gait.kinematics import forward
-from lss_motion.gait.load import load_gait
-from lss_motion.gait.pacing import joints_of, paced
-from lss_motion.gait.patterns import PATTERNS
-from lss_motion.perform import Observer, perform
+from lss_motion.planning import shows
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.load import load_gait
+from lss_motion.show.gait.pacing import joints_of, paced
+from lss_motion.show.gait.patterns import PATTERNS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 SLIP_MAX_MM = 0.6

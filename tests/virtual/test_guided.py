@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.connection import connect
 from lss_motion.errors import InputError
-from lss_motion.maintenance.hands_on import HandsOn
-from lss_motion.player.events import Phase
-from lss_motion.remote import schema as m
-from lss_motion.remote.guided import (
+from lss_motion.maintenance.guided import (
     AT_ZERO,
     CANCEL,
     DISCARD,
@@ -22,10 +18,14 @@ from lss_motion.remote.guided import (
     guided_joint,
     measured,
 )
+from lss_motion.playing.connection import connect
+from lss_motion.playing.hands_on import HandsOn
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.runner import run
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.runner import run
 from lss_motion.sim.hand import Hand
+from lss_motion.system.clock import VirtualClock
 
 ROBOT = """\
 robot: bench

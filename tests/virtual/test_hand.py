@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.connection import connect
-from lss_motion.maintenance.hands_on import HandsOn
 from lss_motion.maintenance.take import Take, sequence_of
-from lss_motion.perform import perform as play
-from lss_motion.player.events import Phase
-from lss_motion.program.compile import compile_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.connection import connect
+from lss_motion.playing.hands_on import HandsOn
+from lss_motion.playing.perform import perform as play
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.runner import run
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.runner import run
-from lss_motion.sequence.load import load_sequence
+from lss_motion.show.load import load_sequence
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.hand import Hand, hand_from_seed
-from lss_motion.trajectory.planner import plan
+from lss_motion.system.clock import VirtualClock
 from lss_motion.units import NS_PER_S, ns_from_s
 
 ARM = Path(__file__).resolve().parents[2] / "sequences" / "robots" / "desk_arm.yaml"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from motion_table import map_for, robot_for
 
-from lss_motion import shows
 from lss_motion.cli.exchange import sampled
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
@@ -22,12 +21,13 @@ from lss_motion.interchange import (
     read_motion,
     read_motions,
 )
-from lss_motion.perform import perform
-from lss_motion.program.compile import compile_program
-from lss_motion.program.text import load_program, to_text
+from lss_motion.planning import shows
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.text import load_program, to_text
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.perform import perform
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.load import load_sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.load import load_sequence
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "sequences"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.physics import Physics
 
 SPEED_DEG_S, ACCEL_DEG_S2 = 180.0, 600.0

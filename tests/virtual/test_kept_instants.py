@@ -14,9 +14,9 @@ from random import Random
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.player.estimators import LAG_MAX_S
-from lss_motion.player.query_tracker import GRACE_NS
-from lss_motion.player.show_clock import Leg
+from lss_motion.playing.player.estimators import LAG_MAX_S
+from lss_motion.playing.player.query_tracker import GRACE_NS
+from lss_motion.playing.player.show_clock import Leg
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.units import NS_PER_S, US_PER_S, ns_from_s
 

@@ -9,9 +9,9 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, LostPortError
-from lss_motion.player import checks
-from lss_motion.player.estimators import OFFSET_MAX_DEG
-from lss_motion.player.events import PhaseEntered, Warned
+from lss_motion.playing.player import checks
+from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
+from lss_motion.playing.player.events import PhaseEntered, Warned
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.servo import Servo

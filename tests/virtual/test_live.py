@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 import lss_motion as lss
-from lss_motion.maintenance.hands_on import HandsOn
-from lss_motion.player.events import Faulted
+from lss_motion.playing.hands_on import HandsOn
+from lss_motion.playing.player.events import Faulted
 from lss_motion.robot.servo_models import SERVO_MODELS
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot

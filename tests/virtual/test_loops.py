@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import api
 from lss_motion.errors import InputError
-from lss_motion.player.events import CueReached, MarkPassed
-from lss_motion.program import compile as compiler
-from lss_motion.program.text import from_text
-from lss_motion.program.verify import verify_program
-from lss_motion.sequence.model import Cue, Keyframe
+from lss_motion.planning.program import compile as compiler
+from lss_motion.planning.program.text import from_text
+from lss_motion.planning.program.verify import verify_program
+from lss_motion.playing import api
+from lss_motion.playing.player.events import CueReached, MarkPassed
+from lss_motion.show.model import Cue, Keyframe
 
 PASSES = 9
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion import api
-from lss_motion.perform import perform
-from lss_motion.player.unasked import EXCESS_MIN
+from lss_motion.playing import api
+from lss_motion.playing.perform import perform
+from lss_motion.playing.player.unasked import EXCESS_MIN
 from lss_motion.sim.faults import Fault, FaultKind
 
 IDS = (1, 2, 3)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import EXIT_INPUT
-from lss_motion.runtime.log import ByteLog
+from lss_motion.playing.log import ByteLog
 
 resource = pytest.importorskip("resource")
 

@@ -9,11 +9,11 @@ from motion_table import map_for, robot_for
 from msgspec.structs import replace
 
 from benches.in_phase import bound_ratios
-from lss_motion import api
 from lss_motion.interchange import imported, load_map, read_motion
-from lss_motion.perform import perform
-from lss_motion.program.compile import compile_program
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing import api
+from lss_motion.playing.perform import perform
 from tests.virtual.conftest import make_robot, make_sequence
 
 ROOT = Path(__file__).resolve().parents[2]

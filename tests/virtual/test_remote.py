@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.perform import Observer, perform
-from lss_motion.player.following import FollowRule
-from lss_motion.remote import schema as m
-from lss_motion.remote.job import Job, play
-from lss_motion.remote.operator_end import Operator
-from lss_motion.remote.player_end import LossRule, Steering
-from lss_motion.remote.telemetry import Telemetry
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.following import FollowRule
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.job import Job, play
+from lss_motion.playing.remote.operator_end import Operator
+from lss_motion.playing.remote.player_end import LossRule, Steering
+from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot, make_sequence
@@ -74,7 +74,7 @@ def at(show_s):
 
 @pytest.fixture(scope="module")
 def show():
-    from lss_motion import api
+    from lss_motion.playing import api
 
     robot = make_robot(2)
     trajectory = api.plan(make_sequence(2, 4.0, step_s=(0.7, 1.0)), robot)
@@ -92,7 +92,7 @@ def run(show, client, **options):
 
     client.steering.on_turn = turn
     result = {}
-    import lss_motion.perform as module
+    import lss_motion.playing.perform as module
 
     real = module.perform
 
@@ -314,8 +314,8 @@ class Conductor(Operator):
 def test_a_player_that_comes_back_stands_where_the_show_will_be_and_gains_speed_by_a_ramp(
     monkeypatch,
 ):
-    import lss_motion.perform as module
-    from lss_motion import api
+    import lss_motion.playing.perform as module
+    from lss_motion.playing import api
 
     robot = make_robot(2, baud_bps=115200)
     sequence = make_sequence(2, 12.0, step_s=(0.6, 0.9), swing_deg=60.0)

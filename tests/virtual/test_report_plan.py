@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.cli.report import plot_report
-from lss_motion.sequence.model import Cue
+from lss_motion.show.model import Cue
 
 
 def test_the_plan_of_a_report_passes_all_readings_also_at_another_speed(stage, kit):

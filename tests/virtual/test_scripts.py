@@ -12,9 +12,9 @@ from random import Random
 import pytest
 
 from lss_motion.interchange import imported, read_motion
-from lss_motion.program.compile import compile_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.load import load_robot
-from lss_motion.trajectory.planner import plan
 
 SPEED_MAX, RAMP = 180.0, 600.0
 SLACK = 1.0 + 1e-6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.player.events import MarkPassed, PhaseEntered
+from lss_motion.playing.player.events import MarkPassed, PhaseEntered
 
 S = 1_000_000_000
 

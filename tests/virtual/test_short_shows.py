@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benches.in_phase import horn_rms_deg, with_and_without_feedback
-from lss_motion.program.compile import compile_program
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
 from tests.virtual.conftest import make_robot, make_sequence
 
 ROBOT = make_robot(6, speed_max_deg_s=360.0, accel_max_deg_s2=1000.0, baud_bps=921600)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 
 STEP_S = 0.04
 """Angles are differenced over this, as the signal of an accelerometer on a head is filtered."""

@@ -13,21 +13,21 @@ from campaign.outside import objections_to
 from campaign.witness import Witness
 from msgspec.structs import replace
 
-from lss_motion import api
 from lss_motion.errors import InputError
-from lss_motion.perform import Observer
-from lss_motion.player.events import Phase, PhaseEntered, ShowBegan, ShowOver
-from lss_motion.player.repertoire import Repertoire
-from lss_motion.remote import schema as m
-from lss_motion.remote import stage_messages as s
-from lss_motion.remote.operator_end import Operator
-from lss_motion.remote.shows_job import ShowsJob, ShowsSteering, play_shows
-from lss_motion.remote.telemetry import Telemetry
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer
+from lss_motion.playing.player.events import Phase, PhaseEntered, ShowBegan, ShowOver
+from lss_motion.playing.player.repertoire import Repertoire
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.operator_end import Operator
+from lss_motion.playing.remote.shows_job import ShowsJob, ShowsSteering, play_shows
+from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.playing.stage_run import perform_stage
 from lss_motion.robot.model import Bus, Robot
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.deviation import Deviation
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.stage_run import perform_stage
 from lss_motion.system.messages import Kind, MessagePipe
 from tests.joints import joint
 

@@ -10,6 +10,7 @@ from campaign.outside import objections_to
 from campaign.witness import Witness
 
 from lss_motion.errors import BusError
+from lss_motion.playing.stage_run import perform_stage
 from lss_motion.robot.on_fault import Cause
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import SENSOR_NAMES
@@ -18,7 +19,6 @@ from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.stage_run import perform_stage
 
 S = 1_000_000_000
 BEGINS = datetime(2026, 10, 30, 18, 0, tzinfo=UTC)

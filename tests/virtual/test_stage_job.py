@@ -11,11 +11,11 @@ from datetime import UTC, datetime
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.remote import schema as m
-from lss_motion.remote import stage_messages as s
-from lss_motion.remote.operator_end import Operator
-from lss_motion.remote.process import packed, start_process
-from lss_motion.remote.telemetry import Telemetry, plan_hash
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.operator_end import Operator
+from lss_motion.playing.remote.process import packed, start_process
+from lss_motion.playing.remote.telemetry import Telemetry, plan_hash
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.job import StageSteering, options_of, stage_job
 from lss_motion.stage.load import load_stage
@@ -167,7 +167,7 @@ def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():
 
 
 def test_timecode_starts_its_shows_also_in_their_middle(planned):
-    """The legs are those of `remote.schema.Follow`; their place is that of the timecode."""
+    """The legs are those of `playing.remote.schema.Follow`; their place is that of the timecode."""
     on = Trigger(kind=TriggerKind.TIMECODE, address="00:01:40:00", at_s=100.0)
     cue = Cue(name="tc", on=on, shows=("hello",), follows=True, start="terminate")
     stage = replace(planned.stage, cues=(cue,), sync=Sync(timecode=TimecodeInput(source="ltc")))

@@ -11,12 +11,12 @@ import pytest
 from campaign.outside import objections_to
 from campaign.witness import Witness
 
-from lss_motion.remote.schema import Follow
+from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.model import Kind, Signal, TimecodeInput
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.stage.timecode import OwnSource, spec_of
+from lss_motion.stage.stage_timecode import OwnSource, spec_of
 
 S = 1_000_000_000
 FILES = {

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.player.events import PhaseEntered
+from lss_motion.playing.player.events import PhaseEntered
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.faults import Fault, FaultKind
 
 S = 1_000_000_000

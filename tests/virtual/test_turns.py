@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import api
 from lss_motion.errors import InputError
+from lss_motion.playing import api
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.faults import Fault, FaultKind
 from tests.timed_moves import is_move
 

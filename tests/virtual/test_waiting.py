@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import api
 from lss_motion.errors import BusError, InputError
-from lss_motion.player.events import CueReached, Waited
-from lss_motion.program.text import from_text, to_text
+from lss_motion.planning.program.text import from_text, to_text
+from lss_motion.playing import api
+from lss_motion.playing.player.events import CueReached, Waited
 from lss_motion.protocol.table import Suffix
 from lss_motion.robot.model import Sensor
 from lss_motion.robot.on_fault import Cause
-from lss_motion.sequence.model import Cue, Keyframe, Sequence, Step, Wait
+from lss_motion.show.model import Cue, Keyframe, Sequence, Step, Wait
 from lss_motion.sim.boards import SENSORS
 from lss_motion.sim.faults import Fault, FaultKind
 
@@ -299,7 +299,7 @@ def test_the_owl_of_the_examples_waits_for_a_visitor(stage):
 
 
 def test_layers_do_not_wait(stage, kit):
-    from lss_motion.sequence.model import Layer
+    from lss_motion.show.model import Layer
 
     layer = Layer(sequence=part(0.0, 5.0), joints=("j0",), fade_s=0.5)
     with pytest.raises(InputError, match="put the layer"):

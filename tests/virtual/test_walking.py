@@ -9,16 +9,16 @@ import pytest
 from local_planner import LocalPlanner
 from msgspec.structs import replace
 
-from lss_motion import shows
-from lss_motion.gait.kinematics import forward
-from lss_motion.gait.model import BodyPose
-from lss_motion.gait.steering import slowed_to_limits
-from lss_motion.gait.stepping import STILL, Twist
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase
+from lss_motion.planning import shows
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.walking.pilot import Pilot
+from lss_motion.playing.walking.planner import WalkPlanner
+from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.model import BodyPose
+from lss_motion.show.gait.steering import slowed_to_limits
+from lss_motion.show.gait.stepping import STILL, Twist
 from lss_motion.sim import bus as sim_bus
-from lss_motion.walking.pilot import Pilot
-from lss_motion.walking.planner import WalkPlanner
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 TOLERANCE_DEG = 0.2

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from lss_motion.runtime.real_time import PRIORITY
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
+from lss_motion.system.real_time import PRIORITY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -20,20 +20,20 @@ from msgspec.structs import replace
 from benches.plan import empty_cache
 from benches.shows import ACCEL_MAX_DEG_S2, lively_show, robot_of
 from benches.table import Row
-from lss_motion import api
 from lss_motion.errors import LineLoadError
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase, PhaseEntered
-from lss_motion.program.model import TOLERANCE_DEG
+from lss_motion.planning.program.model import TOLERANCE_DEG
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase, PhaseEntered
 from lss_motion.robot.servo_models import SERVO_ID_MAX
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.bus import bus_from_robot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lss_motion.player.events import Event
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Robot
 
 BAUDS_BPS: Final = (115_200, 500_000, 921_600)

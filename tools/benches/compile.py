@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING
 
 from benches.plan import bench_show, empty_cache
 from benches.table import Row
-from lss_motion.program.compile import compile_program
-from lss_motion.program.text import from_text, to_text
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.text import from_text, to_text
+from lss_motion.planning.trajectory.planner import plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,8 +39,8 @@ LOAD_TARGET_S = 1.0
 CHILD = """
 import pickle, sys
 from pathlib import Path
-from lss_motion.program.compile import compile_program
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
 show, robot = pickle.loads(Path(sys.argv[1]).read_bytes())
 compile_program(plan(show, robot), robot)
 print(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from benches.shows import lively_show, robot_of
 from benches.table import Row
-from lss_motion import api
-from lss_motion.program.fit import TimedFit
-from lss_motion.program.reference_grid import GRID_S, Reference, servo_limits
+from lss_motion.planning.program.fit import TimedFit
+from lss_motion.planning.program.reference_grid import GRID_S, Reference, servo_limits
+from lss_motion.playing import api
 
 if TYPE_CHECKING:
-    from lss_motion.program.moves import FittedMoves
+    from lss_motion.planning.program.moves import FittedMoves
 
 FloatArray = NDArray[np.float64]
 

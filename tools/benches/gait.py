@@ -15,26 +15,26 @@ import numpy as np
 from msgspec.structs import replace
 
 from benches.table import Row
-from lss_motion import api
 from lss_motion.errors import InputError
-from lss_motion.gait.kinematics import forward
-from lss_motion.gait.load import load_gait
-from lss_motion.gait.model import BodyPose, Walk
-from lss_motion.gait.pacing import paced
-from lss_motion.gait.patterns import PATTERNS
-from lss_motion.gait.to_sequence import sequence_from
-from lss_motion.perform import perform
+from lss_motion.planning.shows import GAIT_TOLERANCE_DEG
+from lss_motion.playing import api
+from lss_motion.playing.perform import perform
 from lss_motion.robot.load import load_robot
-from lss_motion.shows import GAIT_TOLERANCE_DEG
+from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.load import load_gait
+from lss_motion.show.gait.model import BodyPose, Walk
+from lss_motion.show.gait.pacing import paced
+from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.to_sequence import sequence_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lss_motion.gait.model import Gait
-    from lss_motion.gait.pacing import Paced
+    from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.report import Report
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.report import Report
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.show.gait.model import Gait
+    from lss_motion.show.gait.pacing import Paced
 
     FloatArray = NDArray[np.float64]
 

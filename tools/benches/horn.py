@@ -14,9 +14,9 @@ import numpy as np
 
 from benches.shows import lively_show, robot_of
 from benches.table import Row
-from lss_motion import api
-from lss_motion.perform import perform
-from lss_motion.player.query_choice import BY_NEED
+from lss_motion.playing import api
+from lss_motion.playing.perform import perform
+from lss_motion.playing.player.query_choice import BY_NEED
 from lss_motion.protocol.framing import encode_move
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import ns_from_s
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Sequence
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.show.model import Sequence
 
 SHOW_S = 60.0
 JOINTS = 18

@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase
 from lss_motion.sim.horns import FILTER_NS
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.perform import Result
-    from lss_motion.player.player import Player
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.perform import Result
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.runner import Tap
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.runner import Tap
     from lss_motion.sim.deviation import Deviation
-    from lss_motion.trajectory.model import Trajectory
 
 LOOPS_NS: Final = FILTER_NS
 """After so long all loops of a servo are where they were: the filter of EM0 has the longest."""

@@ -37,10 +37,10 @@ from benches.behind_pty import busy_cores, robot_behind_pty
 from benches.native import DEADLINES_C, away, compiled, tapped
 from benches.shows import lively_show, robot_of
 from benches.table import Row
-from lss_motion import api
 from lss_motion.cli.display import Display
-from lss_motion.perform import Observer, perform
-from lss_motion.runtime.real_time import PRIORITY, real_time
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.system.real_time import PRIORITY, real_time
 from lss_motion.units import NS_PER_US, line_time_ns, ns_from_s, s_from_us
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
     from benches.behind_pty import Heard
     from benches.native import Away
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
     from lss_motion.robot.model import Robot
 
 SERVOS = 18

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lss_motion.sync.timecode import FPS_24, FPS_25, FPS_29_97_DROP, FPS_30, Timecode
+from lss_motion.stage.timecode.timecode import FPS_24, FPS_25, FPS_29_97_DROP, FPS_30, Timecode
 
 if TYPE_CHECKING:
-    from lss_motion.sync.timecode import Rate
+    from lss_motion.stage.timecode.timecode import Rate
 
 INSTALL = "sudo apt install libltc11"
 

@@ -18,14 +18,14 @@ import serial
 from benches.behind_pty import robot_behind_pty
 from benches.shows import lively_show, robot_of
 from benches.table import Row
-from lss_motion import api
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase, PhaseEntered
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase, PhaseEntered
 from lss_motion.units import LINE_BITS_PER_BYTE, line_time_ns, s_from_ns
 
 if TYPE_CHECKING:
-    from lss_motion.player.events import Event
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Robot
 
 SERVOS = 18

@@ -17,10 +17,10 @@ import serial
 from benches.table import Row, core_seconds
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
-from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import ServoSpec
 from lss_motion.sim.pty import serve
+from lss_motion.system.real_time import prompt_waits
 from lss_motion.units import LINE_BITS_PER_BYTE
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from lss_motion.runtime.real_time import PRIORITY
+from lss_motion.system.real_time import PRIORITY
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:

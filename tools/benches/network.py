@@ -19,27 +19,27 @@ from typing import TYPE_CHECKING, Final
 
 from benches.stage_model import LOOPBACK, STATUS_NS, WIFI, LinkModel, World
 from benches.table import Row, core_seconds
-from lss_motion.network.clocks import EVERY_NS, ClockEstimator, Exchange
-from lss_motion.network.host import TICK_NS
-from lss_motion.network.messages import ClockAnswer, ClockQuestion, Status, packed, parse
-from lss_motion.network.settings import NetworkSettings
-from lss_motion.perform import Observer, perform
-from lss_motion.player.following import SLOW_RATE, Following, FollowRule
-from lss_motion.player.show_clock import Leg
-from lss_motion.program.compile import compile_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.following import SLOW_RATE, Following, FollowRule
+from lss_motion.playing.player.show_clock import Leg
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.load import load_sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.load import load_sequence
+from lss_motion.stage.hosts.clocks import EVERY_NS, ClockEstimator, Exchange
+from lss_motion.stage.hosts.host import TICK_NS
+from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, Status, packed, parse
+from lss_motion.stage.hosts.settings import NetworkSettings
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.network.figure import Follow
-    from lss_motion.network.peer import Peer
-    from lss_motion.player.player import Player
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.player import Player
     from lss_motion.robot.model import Robot
+    from lss_motion.stage.hosts.figure import Follow
+    from lss_motion.stage.hosts.peer import Peer
 
 HOSTS: Final = 8
 ARMED_NS: Final = 20 * NS_PER_S
@@ -48,8 +48,8 @@ PORT: Final = 17_521
 EXCHANGES: Final = 600
 ANSWERER: Final = """
 import sys
-from lss_motion.network.peer import Peer
-from lss_motion.network.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import Peer
+from lss_motion.stage.hosts.settings import NetworkSettings
 with Peer(NetworkSettings(stage="bench", figure="a", conductor="a", figures=["a", "b"],
                           address=sys.argv[1]), clock_id="0" * 16) as peer:
     peer.answer_clock()
@@ -115,7 +115,7 @@ def exchanged() -> list[Row]:
 
 def exchanges() -> list[Exchange]:
     """Make exchanges with another process on this computer."""
-    from lss_motion.network.peer import Peer
+    from lss_motion.stage.hosts.peer import Peer
 
     address = f"127.0.0.1:{PORT}"
     other = subprocess.Popen(
@@ -371,7 +371,7 @@ def many() -> list[Row]:
 
 def ten_minutes() -> tuple[int, float]:
     """Return the bytes of a plan of ten minutes for 18 joints, and what verifying it takes."""
-    from lss_motion.network.plans import plan_problem
+    from lss_motion.stage.hosts.plans import plan_problem
 
     robot, program = eighteen(600.0)
     content = program.to_text().encode()

@@ -30,11 +30,11 @@ from benches.behind_pty import robot_behind_pty
 from benches.shows import lively_show, robot_of
 from benches.studio import robot_text
 from benches.table import Row, core_seconds
-from lss_motion import api
-from lss_motion.remote.telemetry import plan_hash
-from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.sequence.write import write_sequence
-from lss_motion.shows import Show
+from lss_motion.planning.shows import Show
+from lss_motion.playing import api
+from lss_motion.playing.remote.telemetry import plan_hash
+from lss_motion.show.model import Keyframe, Sequence
+from lss_motion.show.write import write_sequence
 from lss_motion.studio.view import view_bytes, view_of
 
 if TYPE_CHECKING:

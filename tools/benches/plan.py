@@ -27,17 +27,17 @@ from msgspec.structs import replace
 from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
 from lss_motion.files.cache import DIRECTORY_VARIABLE
-from lss_motion.sequence.model import Timing
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.retime import laid_out, slowed_windows, stops, timed_windows
-from lss_motion.trajectory.solver import Cells, fastest_squares
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.retime import laid_out, slowed_windows, stops, timed_windows
+from lss_motion.planning.trajectory.solver import Cells, fastest_squares
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Sequence
+    from lss_motion.show.model import Sequence
 
 SHOW_S = 600.0
 JOINTS = 18
@@ -77,7 +77,7 @@ CHILD = """
 import pickle, sys
 from pathlib import Path
 import lss_motion.cli
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory.planner import plan
 plan(*pickle.loads(Path(sys.argv[1]).read_bytes()))
 print(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
 """

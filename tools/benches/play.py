@@ -61,13 +61,14 @@ from typing import TYPE_CHECKING, Final
 from benches.behind_pty import robot_behind_pty
 from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
-from lss_motion import api, shows
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase, PhaseEntered
+from lss_motion.planning import shows
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase, PhaseEntered
 
 if TYPE_CHECKING:
-    from lss_motion.player.events import Event
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Robot
 
 SEQUENCES: Final = Path(__file__).resolve().parents[2] / "sequences"

@@ -29,11 +29,11 @@ import numpy as np  # noqa: E402
 
 from benches.in_phase import bound_ratios, limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import robot_of  # noqa: E402
-from lss_motion import api  # noqa: E402
 from lss_motion.errors import InputError  # noqa: E402
-from lss_motion.perform import perform  # noqa: E402
+from lss_motion.playing import api  # noqa: E402
+from lss_motion.playing.perform import perform  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
-from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
+from lss_motion.show.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.robot.model import Robot
-    from lss_motion.trajectory.model import Trajectory
 
     FloatArray = NDArray[np.float64]
 

@@ -28,9 +28,8 @@ import numpy as np  # noqa: E402
 from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import lively_show, robot_of  # noqa: E402
 from benches.table import Row  # noqa: E402
-from lss_motion import api  # noqa: E402
-from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
-from lss_motion.robustness import (  # noqa: E402
+from lss_motion.playing import api  # noqa: E402
+from lss_motion.playing.robustness import (
     AFTER_PUSH_S,
     ASSUMED,
     LEAD_S,
@@ -40,9 +39,10 @@ from lss_motion.robustness import (  # noqa: E402
     rests,
     still,
 )
-from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
+from lss_motion.playing.truth import TRUTH_STEP_S  # noqa: E402
+from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
+from lss_motion.show.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
-from lss_motion.truth import TRUTH_STEP_S  # noqa: E402
 from lss_motion.units import NS_PER_S  # noqa: E402
 
 if TYPE_CHECKING:
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.perform import Result
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.perform import Result
+    from lss_motion.playing.truth import Truth
     from lss_motion.robot.model import Robot
-    from lss_motion.trajectory.model import Trajectory
-    from lss_motion.truth import Truth
 
     FloatArray = NDArray[np.float64]
 

@@ -19,19 +19,19 @@ from benches.behind_pty import robot_behind_pty
 from benches.plan import empty_cache
 from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
-from lss_motion import api
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase, PhaseEntered
+from lss_motion.playing import api
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase, PhaseEntered
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import NS_PER_US, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lss_motion.player.events import Event
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
+    from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Robot
-    from lss_motion.trajectory.model import Trajectory
 
 Done = TypeVar("Done")
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 
 SPEED_MAX_DEG_S = 200.0
 ACCEL_MAX_DEG_S2 = 800.0

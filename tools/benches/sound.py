@@ -17,8 +17,8 @@ import numpy as np
 import lss_motion as lss
 from benches.sound_recorder import RATE_HZ, Recorder, missing, sound_server
 from benches.table import Row
-from lss_motion.perform import Observer, perform
-from lss_motion.player.show_clock import Leg, ShowClock
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.show_clock import Leg, ShowClock
 from lss_motion.sound.device_clock import DeviceClock
 from lss_motion.sound.mixer import Mixer, Voice
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.player import Player
 
 ROBOT = Path(__file__).resolve().parents[2] / "sequences" / "robots" / "desk_arm.yaml"
 SHOWS = 8

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.network.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
-from lss_motion.network.conductor import BEAT_NS, Conductor
-from lss_motion.network.figure import (
+from lss_motion.stage.hosts.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
+from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor
+from lss_motion.stage.hosts.figure import (
     Action,
     Arm,
     Fetch,
@@ -26,7 +26,7 @@ from lss_motion.network.figure import (
     StopPlayer,
     Verify,
 )
-from lss_motion.network.messages import Cast, Part, hash_of, packed
+from lss_motion.stage.hosts.messages import Cast, Part, hash_of, packed
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:

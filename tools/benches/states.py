@@ -16,8 +16,8 @@ import numpy as np
 from benches.plan import empty_cache
 from benches.shows import ACCEL_MAX_DEG_S2, RANGE_DEG, SPEED_MAX_DEG_S, lively_show, robot_of
 from benches.table import Row, interleaved
-from lss_motion.sequence.model import Keyframe, Sequence, Timing
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.show.model import Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable

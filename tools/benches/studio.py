@@ -34,15 +34,15 @@ from benches.behind_pty import robot_behind_pty
 from benches.late import lateness
 from benches.shows import lively_show, robot_of
 from benches.table import Row
-from lss_motion import api
-from lss_motion.sequence.write import write_sequence
+from lss_motion.playing import api
+from lss_motion.show.write import write_sequence
 from lss_motion.units import NS_PER_MS, NS_PER_US, line_time_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from benches.behind_pty import Heard
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
     from lss_motion.robot.model import Robot
 
 SERVOS: Final = 18

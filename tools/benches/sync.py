@@ -1,8 +1,8 @@
 """Shows that follow timecode: how far the show clock is from it, and what that costs.
 
-The sound is made here (`sync.ltc`, which libltc reads), with noise of 5 % of full scale, and heard
-by a sound input whose clock is 100 ppm off. Decoder, chase and player run in virtual time; the
-lateness of moves is real.
+The sound is made here (`stage.timecode.ltc`, which libltc reads), with noise of 5 % of full scale,
+and heard by a sound input whose clock is 100 ppm off. Decoder, chase and player run in virtual
+time; the lateness of moves is real.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benches.table import Row
-from lss_motion import shows
-from lss_motion.api import with_port
-from lss_motion.perform import Observer, perform
-from lss_motion.player.events import Phase
-from lss_motion.player.following import Following, FollowRule, Step
-from lss_motion.player.show_clock import ShowClock
-from lss_motion.sync import chase
-from lss_motion.sync.chase import Chase, Observation
-from lss_motion.sync.ltc import sound_of
-from lss_motion.sync.readers import LtcReader
-from lss_motion.sync.timecode import FPS_25, timecode_of
+from lss_motion.planning import shows
+from lss_motion.playing.api import with_port
+from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.player.following import Following, FollowRule, Step
+from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.stage.timecode import chase
+from lss_motion.stage.timecode.chase import Chase, Observation
+from lss_motion.stage.timecode.ltc import sound_of
+from lss_motion.stage.timecode.readers import LtcReader
+from lss_motion.stage.timecode.timecode import FPS_25, timecode_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lss_motion.player.player import Player
-    from lss_motion.player.show_clock import Leg
-    from lss_motion.runtime.report import TimingReport
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.player.show_clock import Leg
+    from lss_motion.playing.report import TimingReport
 
 RATE_HZ = 48000
 DRIFT = 1e-4

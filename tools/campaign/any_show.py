@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from campaign.shows import RESUME_S, Show
 
-from lss_motion import api
 from lss_motion.errors import LssMotionError
+from lss_motion.playing import api
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.on_fault import Cause, FaultStep, escalation_problem
 from lss_motion.robot.servo_models import FAMILIES, SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import ServoModel

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion import api
+from lss_motion.playing import api
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.profile import ramp_setting_deg_s2
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 
 if TYPE_CHECKING:
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
 
 RESUME_S: Final = 2.0
 """A servo is back 1.25 s after its RESET: some faults are waited for, others given up."""

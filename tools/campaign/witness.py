@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.events import Phase, PhaseEntered
+from lss_motion.playing.player.events import Phase, PhaseEntered
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.player.events import Event
-    from lss_motion.player.player import Player
+    from lss_motion.playing.player.events import Event
+    from lss_motion.playing.player.player import Player
 
 RUN_MAX_S: Final = 150.0
 """Virtual time. Ten waits of `RESUME_S` with an approach each, and a show at a tenth of its speed,

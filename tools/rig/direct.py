@@ -1,6 +1,7 @@
 """The conductor of a stage with its director: `python -m rig.direct STAGE.yaml FIGURE STORE PORT`.
 
-It is `network.stage_job` without the server of its pages. Lines: `c CUE`, `s` stops the show, `?`.
+It is `stage.hosts.stage_job` without the server of its pages. Lines: `c CUE`, `s` stops the show,
+`?`.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lss_motion.network.conducting import Conducting, Offer
-from lss_motion.network.plans import planned_stage
-from lss_motion.network.serving import host_of, states
+from lss_motion.stage.hosts.conducting import Conducting, Offer
+from lss_motion.stage.hosts.plans import planned_stage
+from lss_motion.stage.hosts.serving import host_of, states
 from lss_motion.stage.load import load_stage
 
 if TYPE_CHECKING:

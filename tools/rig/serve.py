@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from lss_motion.network.serving import serve_figure
+from lss_motion.stage.hosts.serving import serve_figure
 from lss_motion.stage.load import load_stage
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from rig.stage import RigStage, why_not
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.program.model import Program
+    from lss_motion.planning.program.model import Program
 
 NEAR: Final = 30
 """In tenths of a degree: a target that was corrected for a load is not that of another swing."""
@@ -167,8 +167,8 @@ def idle_of(processes: Sequence[subprocess.Popen[str]]) -> list[list[int]]:
 
 def plans_of(rig: RigStage) -> dict[str, Program]:
     """Return what every host plays."""
-    from lss_motion.network.plans import planned_cast, read_plan
     from lss_motion.robot.load import load_robot
+    from lss_motion.stage.hosts.plans import planned_cast, read_plan
 
     robot = load_robot(rig.folder / "robot.yaml")
     planned = planned_cast(

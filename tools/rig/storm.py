@@ -14,9 +14,9 @@ import threading
 import time
 from random import Random
 
-from lss_motion.network.messages import Ask, ClockQuestion, Status, packed
-from lss_motion.network.peer import Peer
-from lss_motion.network.settings import NetworkSettings
+from lss_motion.stage.hosts.messages import Ask, ClockQuestion, Status, packed
+from lss_motion.stage.hosts.peer import Peer
+from lss_motion.stage.hosts.settings import NetworkSettings
 
 KEYS = ("figure/{}/status", "figure/{}/ask", "figure/{}/clock", "beat", "stop", "clock/{}", "x/y")
 

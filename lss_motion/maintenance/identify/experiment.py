@@ -19,14 +19,14 @@ from lss_motion.maintenance.identify.trials import (
     TrialPlan,
     make_trials,
 )
-from lss_motion.player import handshake
+from lss_motion.playing.player import handshake
 from lss_motion.robot.profile import ramp_setting_deg_s2
 from lss_motion.units import ns_from_s, s_from_ms
 
 if TYPE_CHECKING:
     from lss_motion.maintenance.identify.joint_run import PolledReading
     from lss_motion.maintenance.identify.trials import Window
-    from lss_motion.player.handshake import Answers
+    from lss_motion.playing.player.handshake import Answers
     from lss_motion.robot.model import Joint, Robot
 
 

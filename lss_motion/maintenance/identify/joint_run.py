@@ -1,6 +1,6 @@
 """Small moves of one joint on its bus, from rest to rest; it holds however that ends.
 
-`JointRun` is driven by the run loop (`runtime.runner.Driven`): settings of the session, trials with
+`JointRun` is driven by the run loop (`playing.runner.Driven`): settings of the session, trials with
 queries in between, and however they end, restore the settings and hold. What it moves and judges is
 decided by its subclasses: `experiment.Experiment`, `maintenance.careful.CarefulRun`.
 """
@@ -23,12 +23,12 @@ from lss_motion.maintenance.identify.trials import (
     Trial,
     TrialPlan,
 )
-from lss_motion.player import handshake
-from lss_motion.player.checks import reported_firmware
-from lss_motion.player.health import status_fault
-from lss_motion.player.query_tracker import QueryTracker
-from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.transactions import Dialogue
+from lss_motion.playing.player import handshake
+from lss_motion.playing.player.checks import reported_firmware
+from lss_motion.playing.player.health import status_fault
+from lss_motion.playing.player.query_tracker import QueryTracker
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from lss_motion.maintenance.identify.trials import Window
-    from lss_motion.player.events import Event
-    from lss_motion.player.handshake import Answers, SettingsDialogue
-    from lss_motion.player.transactions import Item
+    from lss_motion.playing.player.events import Event
+    from lss_motion.playing.player.handshake import Answers, SettingsDialogue
+    from lss_motion.playing.player.transactions import Item
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 

@@ -1,8 +1,8 @@
 """The response model of a servo, and its least squares fit over all trials.
 
 Model (`horn_deg`): a profile with two ramps, and a horn that follows it with a first-order lag, for
-each hypothesis of what `D…T…` means. Unlike `program.response` it lets a command be taken up late,
-because the fit measures that. Angles are servo degrees, instants seconds of one trial.
+each hypothesis of what `D…T…` means. Unlike `planning.program.response` it lets a command be taken
+up late, because the fit measures that. Angles are servo degrees, instants seconds of one trial.
 
 Fit (`Problem`): for a hypothesis, the two ramps, the lag, how far the load pulls the horn (a
 parabola over the angle), the play, and one delay for each command, because a servo takes a command

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from lss_motion.maintenance.identify.show_log import ShowRecording
     from lss_motion.maintenance.identify.show_pieces import Pieces
-    from lss_motion.program.response import FloatArray
+    from lss_motion.planning.program.response import FloatArray
     from lss_motion.robot.model import Joint
 
 STEP_S: Final = 0.01

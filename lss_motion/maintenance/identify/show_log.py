@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.maintenance.identify.trials import SentMove
-from lss_motion.player.query_tracker import QueryTracker
-from lss_motion.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker
+from lss_motion.playing.player.serial_line import SerialLine
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, CommandParser, encode
@@ -22,7 +22,7 @@ from lss_motion.units import s_from_ms, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from lss_motion.player.query_tracker import PendingQuery
+    from lss_motion.playing.player.query_tracker import PendingQuery
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 

@@ -1,8 +1,8 @@
 """The response model of one servo over all pieces of a show, for many sets of parameters at once.
 
 A row is a set of parameters, a column a piece (`show_pieces`). The profile of the servo is that of
-`program.response`; the horn follows it with a lag, at most at the top speed, with play, and pulled
-by its load.
+`planning.program.response`; the horn follows it with a lag, at most at the top speed, with play,
+and pulled by its load.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.program.response import FADED, States, Trapezoids, exact_speeds, trapezoids
+from lss_motion.planning.program.response import FADED, States, Trapezoids, exact_speeds, trapezoids
 
 if TYPE_CHECKING:
     from lss_motion.maintenance.identify.response_fit import Hypothesis
     from lss_motion.maintenance.identify.show_pieces import Pieces
-    from lss_motion.program.response import FloatArray
+    from lss_motion.planning.program.response import FloatArray
 
 RAMP, LAG, DEAD, LOAD, PLAY, TOP = 0, 1, 2, 3, 6, 7
 SIZE: Final = 8

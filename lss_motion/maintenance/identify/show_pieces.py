@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from lss_motion.maintenance.identify.response_fit import Hypothesis
     from lss_motion.maintenance.identify.show_log import ShowRecording
-    from lss_motion.program.response import FloatArray
+    from lss_motion.planning.program.response import FloatArray
     from lss_motion.robot.model import Joint
 
 PIECE_S: Final = 1.5

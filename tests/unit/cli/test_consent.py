@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion import api
 from lss_motion.cli import play
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, InputError
+from lss_motion.playing import api
 
 pytestmark = pytest.mark.realtime
 

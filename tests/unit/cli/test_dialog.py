@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from lss_motion.cli.dialog import servo_table
-from lss_motion.player.events import Found
+from lss_motion.playing.player.events import Found
 
 PAN = Found(
     joint="pan",

@@ -9,7 +9,7 @@ import pytest
 from lss_motion.cli import examples, serve
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED
-from lss_motion.network import serving
+from lss_motion.stage.hosts import serving
 
 STAGES = [name for name in examples.example_names() if examples._file(name).startswith("stages/")]
 

@@ -11,7 +11,7 @@ import pytest
 
 from lss_motion.cli.commands import COMMANDS
 from lss_motion.cli.main import COMPLETION, GROUPS
-from lss_motion.show_cache import MAKERS
+from lss_motion.planning.show_cache import MAKERS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
@@ -81,9 +81,9 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
     assert threads in {"threads: 1", "threads: 0"}  # 0: not Linux
     assert plugins == "plugins: None"  # was not looked for
     loaded = set(last.split())
-    assert {"lss_motion.cli.planning", "lss_motion.trajectory.planner"} <= loaded
+    assert {"lss_motion.cli.planning", "lss_motion.planning.trajectory.planner"} <= loaded
     others = {f"lss_motion.cli.{group}" for group in GROUPS} - {"lss_motion.cli.planning"}
-    needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.gait.load"}
+    needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.show.gait.load"}
     needless |= {"lss_motion.stage.load", "lss_motion.stage.model"}
     assert not loaded & (others | needless)
 
@@ -115,8 +115,8 @@ def _loaded_by_play(tmp_path: Path) -> set[str]:
 
 def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> None:
     made, kept = _loaded_by_play(tmp_path), _loaded_by_play(tmp_path)
-    assert {"pydantic", "yaml", "lss_motion.trajectory.planner"} <= made
-    assert {"lss_motion.program.verify", "lss_motion.player.player"} <= kept
+    assert {"pydantic", "yaml", "lss_motion.planning.trajectory.planner"} <= made
+    assert {"lss_motion.planning.program.verify", "lss_motion.playing.player.player"} <= kept
     libraries = {
         "pydantic",
         "yaml",
@@ -128,15 +128,19 @@ def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> N
         "numpy.ma",
     }
     makers = {
-        *(f"lss_motion.trajectory.{name}" for name in ("planner", "plan_cache", "recheck")),
-        *(f"lss_motion.program.{name}" for name in ("compile", "drives", "fit", "search")),
+        *(
+            f"lss_motion.planning.trajectory.{name}"
+            for name in ("planner", "plan_cache", "recheck")
+        ),
+        *(f"lss_motion.planning.program.{name}" for name in ("compile", "drives", "fit", "search")),
         *(f"lss_motion.{name}" for name in ("robot.load", "robot.learnt", "sequence.load")),
-        *("lss_motion.files.yaml_source", "lss_motion.files.validation", "lss_motion.api"),
-        *("lss_motion.cli.display", "lss_motion.cli.report", "lss_motion.runtime.report"),
-        *("lss_motion.runtime.performer", "subprocess", "zipfile"),
+        *("lss_motion.files.yaml_source", "lss_motion.files.validation", "lss_motion.playing.api"),
+        *("lss_motion.cli.display", "lss_motion.cli.report", "lss_motion.playing.report"),
+        *("lss_motion.playing.performer", "subprocess", "zipfile"),
     }
     assert not kept & (libraries | makers)
-    # What made the show is in the hash of its version: `show_cache.MAKERS`, or the top folder.
+    # What made the show is in the hash of its version: `planning.show_cache.MAKERS`, or the top
+    # folder.
     parts = {tuple(name.split(".")[1:]) for name in made - kept if name.startswith("lss_motion.")}
     others = {part[0] for part in parts if len(part) > 1 and part[0] not in MAKERS}
     assert others <= {"cli"}

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion import connection
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_INPUT
-from lss_motion.runtime.clock import VirtualClock
+from lss_motion.playing import connection
+from lss_motion.system.clock import VirtualClock
 
 ARM = Path(__file__).resolve().parents[3] / "sequences" / "robots" / "desk_arm.yaml"
 FULL = Path("/dev/full")

@@ -233,7 +233,7 @@ def test_every_example_plays_with_the_horn_within_a_degree(name, tmp_path):
 
 
 def test_an_interrupt_after_the_show_loses_no_report(folder, monkeypatch):
-    from lss_motion.runtime import report as reports
+    from lss_motion.playing import report as reports
 
     write_report, path = reports.write_report, folder / "r.json"
 

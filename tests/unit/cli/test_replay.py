@@ -10,7 +10,7 @@ from lss_motion.cli import play
 from lss_motion.cli.main import main
 from lss_motion.cli.replay import event_lines
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
-from lss_motion.player.events import (
+from lss_motion.playing.player.events import (
     CueReached,
     Faulted,
     MarkPassed,
@@ -20,7 +20,7 @@ from lss_motion.player.events import (
     Warned,
 )
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.sequence.model import Cue
+from lss_motion.show.model import Cue
 
 
 def test_the_player_decides_the_same_when_it_lives_through_its_log_again(played, capsys):

@@ -6,11 +6,11 @@ from functools import partial
 
 import pytest
 
-from lss_motion import connection
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
-from lss_motion.runtime.clock import VirtualClock
+from lss_motion.playing import connection
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.system.clock import VirtualClock
 
 ROBOT = """
 robot: pair

@@ -9,7 +9,7 @@ import pytest
 
 from lss_motion.cli import service
 from lss_motion.cli.main import main
-from lss_motion.runtime.service import MARK
+from lss_motion.system.service import MARK
 
 USER = next(one.pw_name for one in pwd.getpwall() if one.pw_uid)
 STAGE = "stage: hall\nrobot: arm.yaml\nshows: {a: a.yaml}\n"

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import EXIT_INPUT, EXIT_INTERRUPTED
-from lss_motion.runtime.signals import Ended, as_program, exit_code, raising
+from lss_motion.system.signals import Ended, as_program, exit_code, raising
 
 pytestmark = pytest.mark.realtime
 

@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import LISTED_MAX, known_names, text_of
-from lss_motion.sequence.model import Cue, Keyframe
+from lss_motion.show.model import Cue, Keyframe
 
 if TYPE_CHECKING:
     from pathlib import Path

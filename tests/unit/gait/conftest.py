@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.gait.load import load_gait
-from lss_motion.gait.model import BodyPose, Walk
-from lss_motion.gait.patterns import PATTERNS
 from lss_motion.robot.load import load_robot
+from lss_motion.show.gait.load import load_gait
+from lss_motion.show.gait.model import BodyPose, Walk
+from lss_motion.show.gait.patterns import PATTERNS
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 

@@ -8,10 +8,10 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.cli.main import main
-from lss_motion.gait.model import BodyMove, BodyPose
-from lss_motion.gait.pacing import gait_lines, paced
-from lss_motion.gait.plot import plot_gait
-from lss_motion.sequence.load import load_sequence
+from lss_motion.planning.gait_plot import plot_gait
+from lss_motion.show.gait.model import BodyMove, BodyPose
+from lss_motion.show.gait.pacing import gait_lines, paced
+from lss_motion.show.load import load_sequence
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.gait.curves import blend, hermite, lift, spline, through
+from lss_motion.show.gait.curves import blend, hermite, lift, spline, through
 
 RATIOS = np.linspace(0.0, 1.0, 2001)
 

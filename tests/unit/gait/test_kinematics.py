@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.gait.kinematics import Stance, forward, inverse, neutral_mm, reach_excess_mm
-from lss_motion.gait.model import Leg, LegKind
+from lss_motion.show.gait.kinematics import Stance, forward, inverse, neutral_mm, reach_excess_mm
+from lss_motion.show.gait.model import Leg, LegKind
 
 COXA = Leg(
     name="lf",

@@ -7,9 +7,9 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.files.yaml_source import read_yaml
-from lss_motion.gait import is_gait_file
-from lss_motion.gait.load import gait_schema, load_gait
-from lss_motion.gait.model import BodyMove, BodyPose, LegKind, Walk, Wave
+from lss_motion.show.gait import is_gait_file
+from lss_motion.show.gait.load import gait_schema, load_gait
+from lss_motion.show.gait.model import BodyMove, BodyPose, LegKind, Walk, Wave
 
 NAMES = ("hexapod_walk", "hexapod_dance", "quadruped_trot")
 BASE = """\

@@ -7,11 +7,11 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.gait.curves import spline
-from lss_motion.gait.kinematics import forward
-from lss_motion.gait.model import BodyMove, BodyPose, Wave
-from lss_motion.gait.pacing import ACCEL_SHARE, FOOT_ERROR_MM, joints_of, paced
-from lss_motion.gait.patterns import PATTERNS
+from lss_motion.show.gait.curves import spline
+from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.model import BodyMove, BodyPose, Wave
+from lss_motion.show.gait.pacing import ACCEL_SHARE, FOOT_ERROR_MM, joints_of, paced
+from lss_motion.show.gait.patterns import PATTERNS
 
 ALL = [*PATTERNS[6], *PATTERNS[4]]
 STATIC = [name for known in PATTERNS.values() for name, own in known.items() if own.is_static]

@@ -5,11 +5,11 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.gait.kinematics import forward, neutral_mm
-from lss_motion.gait.model import BodyPose
-from lss_motion.gait.patterns import PATTERNS
-from lss_motion.gait.steering import Steering, slowed_to_limits
-from lss_motion.gait.stepping import STILL, Twist
+from lss_motion.show.gait.kinematics import forward, neutral_mm
+from lss_motion.show.gait.model import BodyPose
+from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.steering import Steering, slowed_to_limits
+from lss_motion.show.gait.stepping import STILL, Twist
 
 ALL = [*PATTERNS[6], *PATTERNS[4]]
 STATIC = [name for known in PATTERNS.values() for name, own in known.items() if own.is_static]

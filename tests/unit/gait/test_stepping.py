@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.gait.stepping import steps, travel
+from lss_motion.show.gait.stepping import steps, travel
 
 
 def test_every_walk_covers_its_velocity_times_its_cycles(kit):

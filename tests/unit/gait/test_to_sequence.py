@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import api, shows
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.gait.load import load_gait
-from lss_motion.gait.model import LAID_OUT_CYCLES, BodyMove, BodyPose
-from lss_motion.gait.pacing import joints_of, paced
-from lss_motion.gait.to_sequence import sequence_from, sequence_of
-from lss_motion.sequence.check import check_sequence
-from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.model import Interpolation, Timing
-from lss_motion.sequence.write import write_sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning import shows
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing import api
+from lss_motion.show.check import check_sequence
+from lss_motion.show.gait.load import load_gait
+from lss_motion.show.gait.model import LAID_OUT_CYCLES, BodyMove, BodyPose
+from lss_motion.show.gait.pacing import joints_of, paced
+from lss_motion.show.gait.to_sequence import sequence_from, sequence_of
+from lss_motion.show.load import load_sequence
+from lss_motion.show.model import Interpolation, Timing
+from lss_motion.show.write import write_sequence
 
 NOD = BodyMove(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=1.0, hold_s=0.5, label="nod", line=3)
 BACK = BodyMove(pose=BodyPose(), in_s=1.0, label="back", line=4)

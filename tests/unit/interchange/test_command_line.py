@@ -9,7 +9,7 @@ import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.load import load_sequence
+from lss_motion.show.load import load_sequence
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 

@@ -6,7 +6,7 @@ import pytest
 
 from lss_motion.interchange.command_text import CommandReader
 from lss_motion.interchange.reader import Unit
-from lss_motion.sequence.model import Interpolation
+from lss_motion.show.model import Interpolation
 
 
 def keys(motion) -> dict[str, list[tuple[float, float]]]:

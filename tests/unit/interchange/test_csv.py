@@ -6,7 +6,7 @@ import pytest
 
 from lss_motion.interchange.csv import CsvReader
 from lss_motion.interchange.reader import Unit
-from lss_motion.sequence.model import Interpolation
+from lss_motion.show.model import Interpolation
 
 WIDE = "time_s,base_deg,elbow_rad,jaw_us,lift\n0,1,0.5,1500,7\n0.5,2,,1600,8\n1,3,1.5,1700,9\n"
 

@@ -14,9 +14,9 @@ from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduc
 from lss_motion.interchange.fitted_keys import fitted_together
 from lss_motion.interchange.recorded import Curve, Limits, Spans
 from lss_motion.interchange.reduce import ROUNDING_DEG
-from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.model import Interpolation
-from lss_motion.sequence.write import write_sequence
+from lss_motion.show.load import load_sequence
+from lss_motion.show.model import Interpolation
+from lss_motion.show.write import write_sequence
 
 JOINTS = ("base", "elbow")
 

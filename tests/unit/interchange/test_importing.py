@@ -21,9 +21,9 @@ from lss_motion.interchange import (
 )
 from lss_motion.interchange.reader import Pose, motion_of_poses
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.model import Timing
-from lss_motion.sequence.write import write_sequence
+from lss_motion.show.load import load_sequence
+from lss_motion.show.model import Timing
+from lss_motion.show.write import write_sequence
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Robot

@@ -17,8 +17,8 @@ from lss_motion.interchange.recorded import (
     interpolated,
 )
 from lss_motion.interchange.reduce import ROUNDING_DEG
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.show.model import Interpolation, Keyframe, Sequence
 
 EASES = (Interpolation.SPLINE, Interpolation.SMOOTH, Interpolation.LINEAR)
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion import connection as connections
 from lss_motion.cli.main import main
-from lss_motion.connection import Connection
+from lss_motion.playing import connection as connections
+from lss_motion.playing.connection import Connection
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, ServoModel
-from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import Physics, ServoSpec
 from lss_motion.sim.port import SimPort
+from lss_motion.system.clock import VirtualClock
 
 MODELS = {
     "LSS-ST1": ServoModel(
@@ -37,7 +37,7 @@ def spec():
 
 @pytest.fixture
 def connected():
-    """Return a function that connects to servos on the bus `connection.simulated["main"]`."""
+    """Return a function that connects to servos on the bus `playing.connection.simulated["main"]`."""
 
     def make(*specs, baud_bps=115200, firmware=370, seed=0, **options):
         bus = Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=firmware)

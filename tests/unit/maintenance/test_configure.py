@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion import connection as connections
 from lss_motion.cli import servo_settings
 from lss_motion.cli.main import main
 from lss_motion.cli.servo_settings import read, read_whole, targets_at, write
@@ -15,7 +14,8 @@ from lss_motion.errors import (
     EXIT_UNREACHABLE,
     BusError,
 )
-from lss_motion.player.transactions import Item
+from lss_motion.playing import connection as connections
+from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.framing import Command
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.faults import Fault, FaultKind

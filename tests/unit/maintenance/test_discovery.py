@@ -7,17 +7,17 @@ from msgspec.structs import replace
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
 from lss_motion.maintenance import findings
-from lss_motion.maintenance.discovery import (
+from lss_motion.maintenance.findings import starter_file
+from lss_motion.maintenance.survey import observed, roll_call, survey
+from lss_motion.playing.discovery import (
     is_doubtful,
     judge_answers,
     own_answers,
     read_roll_call,
 )
-from lss_motion.maintenance.findings import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.survey import observed, roll_call, survey
 
 
 def ids(found):

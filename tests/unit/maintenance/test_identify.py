@@ -9,7 +9,6 @@ import pytest
 from msgspec.structs import replace
 
 from benches.identify import MODEL, blind, faults
-from lss_motion.connection import Connection
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.maintenance.identify import summary
 from lss_motion.maintenance.identify.estimate import identify, read_rests
@@ -25,15 +24,16 @@ from lss_motion.maintenance.identify.trials import (
     make_trials,
     make_window,
 )
-from lss_motion.player import checks, handshake
+from lss_motion.playing.connection import Connection
+from lss_motion.playing.player import checks, handshake
+from lss_motion.playing.runner import run
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.robot.profile import Profile
-from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.runner import run
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.port import SimPort
+from lss_motion.system.clock import VirtualClock
 from tests.joints import joint
 
 JOINT = joint("elbow", 3, model=MODEL)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.connection import ask_limits, connect
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance.backup import ServoBackup
-from lss_motion.maintenance.limits import questions, robot_from_answers, robot_from_backup
-from lss_motion.player.transactions import Item
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.connection import ask_limits, connect
+from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.stored_limits import questions, robot_from_answers, robot_from_backup
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime.clock import VirtualClock
-from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.model import Keyframe, Sequence
+from lss_motion.system.clock import VirtualClock
 
 ROBOT = """
 robot: two

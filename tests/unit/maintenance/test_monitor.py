@@ -6,15 +6,15 @@ import io
 
 import pytest
 
-from lss_motion import connection as connections
 from lss_motion.cli.main import main
 from lss_motion.cli.monitor import rendered, sparkline
 from lss_motion.maintenance.monitor import Alarms, ServoState, Thresholds, Watch
 from lss_motion.maintenance.settings import Target
-from lss_motion.player.transactions import Item
+from lss_motion.playing import connection as connections
+from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.runner import run
 from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.framing import Command
-from lss_motion.runtime.runner import run
 from lss_motion.sim.faults import Fault, FaultKind
 
 NS_PER_S = 1_000_000_000
@@ -120,7 +120,7 @@ def test_a_servo_that_comes_back_is_seen_again(watched, spec):
 def test_two_buses_do_not_wait_for_each_other(spec, connected):
     from msgspec.structs import replace
 
-    from lss_motion.connection import Connection
+    from lss_motion.playing.connection import Connection
     from lss_motion.sim.port import SimPort
 
     quick = connected(spec(1), baud_bps=500000)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion.maintenance.hands_on import Reading
 from lss_motion.maintenance.take import (
     HAND_DEG_S2,
     STEP_S,
@@ -17,10 +16,11 @@ from lss_motion.maintenance.take import (
     sequence_of,
     within,
 )
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.hands_on import Reading
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.write import write_sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.load import load_sequence
+from lss_motion.show.write import write_sequence
 
 ARM = Path(__file__).resolve().parents[3] / "sequences" / "robots" / "desk_arm.yaml"
 SECOND = 1_000_000_000

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.player import checks, handshake
+from lss_motion.playing.player import checks, handshake
 from lss_motion.protocol.constants import Status
 from lss_motion.protocol.framing import encode
 from lss_motion.robot.model import Bus

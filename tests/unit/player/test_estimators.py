@@ -1,4 +1,4 @@
-"""Tests of `player.estimators`.
+"""Tests of `playing.player.estimators`.
 
 What a horn lacks: load, play and lag told apart, and none of it learnt from what explains nothing.
 What is corrected at rest, and what is not.
@@ -14,7 +14,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.player.estimators import (
+from lss_motion.playing.player.estimators import (
     JUMP_MARGIN_DEG,
     LAG_MAX_S,
     OFFSET_MAX_DEG,
@@ -22,7 +22,7 @@ from lss_motion.player.estimators import (
     HornEstimator,
     Swing,
 )
-from lss_motion.player.standing import (
+from lss_motion.playing.player.standing import (
     ATTEMPTS_MAX,
     PLAY_MAX_DEG,
     PUSH_S,

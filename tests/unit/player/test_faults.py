@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.player.faults import RESUMES_MAX, SLOW_RATE_LEAST, FaultEscalation
+from lss_motion.playing.player.faults import RESUMES_MAX, SLOW_RATE_LEAST, FaultEscalation
 from lss_motion.robot.on_fault import Cause, FaultStep
 
 S = 1_000_000_000

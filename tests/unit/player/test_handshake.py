@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player import handshake
-from lss_motion.player.approach import approach
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.verify import profiles
+from lss_motion.playing.player import handshake
+from lss_motion.playing.player.approach import approach
 from lss_motion.protocol.framing import encode
 from lss_motion.robot.servo_models import SERVO_MODELS
 

@@ -4,9 +4,14 @@ import re
 
 import pytest
 
-from lss_motion.player.approach import approach
-from lss_motion.player.health import SILENT_QUERIES, STATUS_CAUSES, HealthMonitor, status_fault
-from lss_motion.player.joint_state import make_joint_states
+from lss_motion.playing.player.approach import approach
+from lss_motion.playing.player.health import (
+    SILENT_QUERIES,
+    STATUS_CAUSES,
+    HealthMonitor,
+    status_fault,
+)
+from lss_motion.playing.player.joint_state import make_joint_states
 from lss_motion.protocol.constants import (
     PRO_STATUS_FIRMWARE,
     STATUS_CODES,

@@ -1,4 +1,4 @@
-"""Tests of `player.joint_state`.
+"""Tests of `playing.player.joint_state`.
 
 One joint: what its servo is told, when it is told again, and what is known of it then.
 What an answer says about one joint: the lag that is learnt, and the course that it is on.
@@ -18,14 +18,14 @@ from hypothesis import event, example, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from lss_motion.player.estimators import DEAD_S, POINTS_MAX, Trace
-from lss_motion.player.joint_state import REST_DEG_S
-from lss_motion.player.lateness import MISSED_NS, Statistics
-from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.setpoints import CLOSING_RATIO, STEP_OFFSETS, Setpoints, closing_deg
-from lss_motion.player.show_clock import ShowClock
-from lss_motion.program.quantize import nearest_wire
-from lss_motion.program.reference_grid import servo_limits
+from lss_motion.planning.program.quantize import nearest_wire
+from lss_motion.planning.program.reference_grid import servo_limits
+from lss_motion.playing.player.estimators import DEAD_S, POINTS_MAX, Trace
+from lss_motion.playing.player.joint_state import REST_DEG_S
+from lss_motion.playing.player.lateness import MISSED_NS, Statistics
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.setpoints import CLOSING_RATIO, STEP_OFFSETS, Setpoints, closing_deg
+from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.robot.model import Bus
 from lss_motion.robot.servo_models import SERVO_MODELS
 from tests.filters import FILTER_S, felt, staircase

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.player.cues import POLL_PERIOD_NS, Waiting
-from lss_motion.player.health import SILENT_QUERIES
-from lss_motion.player.lost_moves import PROMPT_LEAST
-from lss_motion.player.polling import (
+from lss_motion.planning.trajectory.model import WaitPoint
+from lss_motion.playing.player.cues import POLL_PERIOD_NS, Waiting
+from lss_motion.playing.player.health import SILENT_QUERIES
+from lss_motion.playing.player.lost_moves import PROMPT_LEAST
+from lss_motion.playing.player.polling import (
     BACKLOG_BYTES,
     LATE_NS,
     REST_MAX_NS,
     REST_RATIO,
     PollScheduler,
 )
-from lss_motion.player.query_choice import (
+from lss_motion.playing.player.query_choice import (
     FILL_RATIO,
     HEALTH_KEYWORDS,
     HEALTH_LEAST,
@@ -28,16 +29,15 @@ from lss_motion.player.query_choice import (
     LONGEST_NS,
     VISIT_NS,
 )
-from lss_motion.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
-from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.settings_watch import READ_BACK_NS, Probe
-from lss_motion.player.show_clock import ShowClock
+from lss_motion.playing.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.settings_watch import READ_BACK_NS, Probe
+from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Wait
-from lss_motion.trajectory.model import WaitPoint
+from lss_motion.show.model import Wait
 
 MS, S = 1_000_000, 1_000_000_000
 WAITS_NS = (300_000, 1_100_000)

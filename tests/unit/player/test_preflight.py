@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.connection import connect
 from lss_motion.errors import BusError, InputError
-from lss_motion.player import checks
-from lss_motion.player.preflight import Examination
+from lss_motion.playing.connection import connect
+from lss_motion.playing.player import checks
+from lss_motion.playing.player.preflight import Examination
 from lss_motion.robot.model import Bus
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.system.clock import VirtualClock
 
 
 def examined(kit, *joints, faults=(), baud_bps=115200, seed=0, **options):

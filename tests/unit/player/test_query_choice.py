@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.player.polling import AHEAD_NS
-from lss_motion.player.query_choice import (
+from lss_motion.playing.player.polling import AHEAD_NS
+from lss_motion.playing.player.query_choice import (
     BY_NEED,
     HEALTH_LEAST,
     HEALTH_NS,
@@ -19,7 +19,7 @@ from lss_motion.player.query_choice import (
     UNCORRECTED_DEG,
     Pace,
 )
-from lss_motion.player.query_tracker import STARVED_NS
+from lss_motion.playing.player.query_tracker import STARVED_NS
 from tests.unit.player.test_polling import KNOWN_NS, MS, Desk, S, joints
 
 

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from lss_motion.player.query_tracker import (
+from lss_motion.playing.player.query_tracker import (
     GRACE_NS,
     PATIENCE_NS,
     PATIENT_SPREAD,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lss_motion.player.cues import READINGS_MAX, WATCH_PERIOD_NS, SensorWatch
+from lss_motion.playing.player.cues import READINGS_MAX, WATCH_PERIOD_NS, SensorWatch
 from lss_motion.robot.model import Sensor
 
 DOOR = Sensor(name="door", servo_id=203, bus="main", kind="GP2Y0A21YK0F")

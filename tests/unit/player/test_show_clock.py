@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from lss_motion.player.show_clock import Leg, ShowClock
+from lss_motion.playing.player.show_clock import Leg, ShowClock
 
 S = 1_000_000_000
 START_NS = 7 * S

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lss_motion.player.stalls import GAP_NS, NAMED_MAX, StallDetector, stall_text
+from lss_motion.playing.player.stalls import GAP_NS, NAMED_MAX, StallDetector, stall_text
 
 S = 1_000_000_000
 

@@ -1,4 +1,4 @@
-"""Tests of `player.streamer`.
+"""Tests of `playing.player.streamer`.
 
 One program, move by move: what leaves when, at any rate of the show, and where that leads.
 In which order moves leave when joints lag differently, and what is passed by or replaced.
@@ -17,23 +17,23 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.player import joining
-from lss_motion.player.due_moves import EARLY_MAX_US, DueMoves
-from lss_motion.player.joining import JOIN_S, on_time_s, send_deferred
-from lss_motion.player.joint_state import RETRIES_MAX
-from lss_motion.player.query_tracker import QueryTracker
-from lss_motion.player.rate_ramps import guide
-from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.streamer import ARRIVAL_MAX_S, SETTLE_S, Streamer
-from lss_motion.program.model import Driving, Move, Program, Repeat
-from lss_motion.program.response import PiecewiseProfile
-from lss_motion.program.splice import Extension
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.model import Driving, Move, Program, Repeat
+from lss_motion.planning.program.response import PiecewiseProfile
+from lss_motion.planning.program.splice import Extension
+from lss_motion.planning.program.verify import profiles
+from lss_motion.planning.trajectory.model import WaitPoint
+from lss_motion.playing.player import joining
+from lss_motion.playing.player.due_moves import EARLY_MAX_US, DueMoves
+from lss_motion.playing.player.joining import JOIN_S, on_time_s, send_deferred
+from lss_motion.playing.player.joint_state import RETRIES_MAX
+from lss_motion.playing.player.query_tracker import QueryTracker
+from lss_motion.playing.player.rate_ramps import guide
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.playing.player.streamer import ARRIVAL_MAX_S, SETTLE_S, Streamer
 from lss_motion.protocol.framing import Reply
 from lss_motion.robot.model import Bus, Sensor
-from lss_motion.sequence.model import Wait
-from lss_motion.trajectory.model import WaitPoint
+from lss_motion.show.model import Wait
 from tests.filters import FILTER_S, felt, staircase
 from tests.timed_moves import MOVE, timed, travel
 

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.player.query_tracker import QueryTracker
-from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.transactions import AGREE_TRIES, TRIES, Dialogue, Item
+from lss_motion.playing.player.query_tracker import QueryTracker
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.transactions import AGREE_TRIES, TRIES, Dialogue, Item
 from lss_motion.protocol.framing import Command, Reply
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.program.compile import compile_program
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.verify import profiles
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence, Timing
-from lss_motion.trajectory.planner import plan
+from lss_motion.show.model import Keyframe, Sequence, Timing
 from tests.joints import joint
 
 

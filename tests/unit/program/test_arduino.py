@@ -16,13 +16,13 @@ from msgspec.structs import replace
 
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.perform import perform
-from lss_motion.player.handshake import session_commands
-from lss_motion.program.arduino import sketch
-from lss_motion.program.model import Repeat
-from lss_motion.program.text import load_program
+from lss_motion.planning.program.arduino import sketch
+from lss_motion.planning.program.model import Repeat
+from lss_motion.planning.program.text import load_program
+from lss_motion.playing.perform import perform
+from lss_motion.playing.player.handshake import session_commands
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.model import Cue
+from lss_motion.show.model import Cue
 from lss_motion.sim.bus import bus_from_robot
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.compile import PREROLL_S, compile_program
-from lss_motion.program.model import received_us
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.compile import PREROLL_S, compile_program
+from lss_motion.planning.program.model import received_us
+from lss_motion.planning.program.verify import profiles
 from lss_motion.robot.profile import profile_lead_s, ramp_deg_s2
-from lss_motion.sequence.model import Timing
+from lss_motion.show.model import Timing
 from lss_motion.units import line_time_ns
 
 STEP_S = 0.001

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.program.cones import Starts, open_cones
-from lss_motion.program.reference_grid import GRID_S, Reference, References, servo_limits
-from lss_motion.program.response import States
+from lss_motion.planning.program.cones import Starts, open_cones
+from lss_motion.planning.program.reference_grid import GRID_S, Reference, References, servo_limits
+from lss_motion.planning.program.response import States
 from tests.joints import joint
 
 LIMITS = servo_limits(joint(), 0.2)

@@ -9,9 +9,9 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.program.compile import compile_program
-from lss_motion.program.model import Driving
-from lss_motion.program.verify import profiles, verify_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.model import Driving
+from lss_motion.planning.program.verify import profiles, verify_program
 from lss_motion.robot.model import Response
 from lss_motion.robot.servo_models import SERVO_MODELS
 

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.program.fit import TimedFit
-from lss_motion.program.moves import fitted_profiles, profiles_from_rest
-from lss_motion.program.reference_grid import GRID_S, SEGMENT_MAX_S, Reference, servo_limits
-from lss_motion.program.segments import segments_of
+from lss_motion.planning.program.fit import TimedFit
+from lss_motion.planning.program.moves import fitted_profiles, profiles_from_rest
+from lss_motion.planning.program.reference_grid import (
+    GRID_S,
+    SEGMENT_MAX_S,
+    Reference,
+    servo_limits,
+)
+from lss_motion.planning.program.segments import segments_of
 from lss_motion.robot.model import Response
 from tests.joints import joint
 

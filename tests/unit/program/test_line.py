@@ -6,7 +6,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.program.line import (
+from lss_motion.planning.program.line import (
     TURNAROUND_US,
     LineSchedule,
     line_use,

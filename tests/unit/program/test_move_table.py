@@ -6,8 +6,8 @@ from random import Random
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.program.model import Move, Program
-from lss_motion.program.move_table import MADE_AT_ONCE, MoveTable, columns_of, table_of
+from lss_motion.planning.program.model import Move, Program
+from lss_motion.planning.program.move_table import MADE_AT_ONCE, MoveTable, columns_of, table_of
 
 
 def moves(count: int) -> list[Move]:

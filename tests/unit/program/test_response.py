@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from lss_motion.program.response import PiecewiseProfile
+from lss_motion.planning.program.response import PiecewiseProfile
 from lss_motion.robot.model import Response
 from lss_motion.robot.profile import Piece, Profile, trapezoid
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.program.line import sent_us
-from lss_motion.program.model import Move, Repeat
-from lss_motion.program.schedule import closed_pass
+from lss_motion.planning.program.line import sent_us
+from lss_motion.planning.program.model import Move, Repeat
+from lss_motion.planning.program.schedule import closed_pass
 
 REPEAT = Repeat(from_us=1_000_000, to_us=2_000_000)
 

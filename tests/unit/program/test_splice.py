@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import LineLoadError
-from lss_motion.program.line import line_use
-from lss_motion.program.model import Program, received_us, target_deg
-from lss_motion.program.splice import initial_splice_state
+from lss_motion.planning.program.line import line_use
+from lss_motion.planning.program.model import Program, received_us, target_deg
+from lss_motion.planning.program.splice import initial_splice_state
+from lss_motion.planning.trajectory.tracks import given_motion
 from lss_motion.robot.profile import Profile, profile_lead_s
-from lss_motion.trajectory.tracks import given_motion
 from lss_motion.units import s_from_ms, s_from_us
 
 TOLERANCE_DEG = 0.1

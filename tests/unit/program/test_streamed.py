@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import LineLoadError
-from lss_motion.program.compile import compile_program
-from lss_motion.program.model import Driving
-from lss_motion.program.streamed import FilterProfile, filter_accel
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.model import Driving
+from lss_motion.planning.program.streamed import FilterProfile, filter_accel
+from lss_motion.planning.program.verify import profiles
 from lss_motion.robot.model import Response
-from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.show.model import Keyframe, Sequence
 
 PERIOD_S = 0.02
 

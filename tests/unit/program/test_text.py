@@ -7,12 +7,12 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.program.compile import compile_program
-from lss_motion.program.text import cue_line, from_text, load_program, read_cue, to_text
-from lss_motion.program.verify import profiles
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.text import cue_line, from_text, load_program, read_cue, to_text
+from lss_motion.planning.program.verify import profiles
+from lss_motion.planning.trajectory.model import Mark
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.sequence.model import Cue
-from lss_motion.trajectory.model import Mark
+from lss_motion.show.model import Cue
 
 TEXT = """\
 # lss_motion program 1

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import PlanningError
-from lss_motion.program.compile import compile_program
-from lss_motion.program.model import Move, Program
-from lss_motion.program.response import PiecewiseProfile
-from lss_motion.program.verify import profiles, verify_profiles, verify_program
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.program.model import Move, Program
+from lss_motion.planning.program.response import PiecewiseProfile
+from lss_motion.planning.program.verify import profiles, verify_profiles, verify_program
 from lss_motion.robot.profile import Piece
 from lss_motion.robot.servo_models import SERVO_MODELS
 

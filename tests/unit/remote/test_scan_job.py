@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.api import load_robot
-from lss_motion.connection import connect
-from lss_motion.remote.scan_job import found_on
-from lss_motion.runtime.clock import VirtualClock
+from lss_motion.maintenance.scan_job import found_on
+from lss_motion.playing.api import load_robot
+from lss_motion.playing.connection import connect
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.system.clock import VirtualClock
 
 
 @pytest.mark.parametrize(

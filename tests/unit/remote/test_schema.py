@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.remote import schema as m
-from lss_motion.remote.telemetry import Telemetry
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.telemetry import Telemetry
 
 OPERATIONS = [
     m.Go(id=1),

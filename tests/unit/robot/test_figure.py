@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lss_motion.errors import InputError
-from lss_motion.gait.figure import figure_of, figure_of_legs
-from lss_motion.gait.kinematics import forward
-from lss_motion.gait.load import load_gait
 from lss_motion.robot.load import load_robot
+from lss_motion.show.gait.figure import figure_of, figure_of_legs
+from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.load import load_gait
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.player.handshake import session_commands
+from lss_motion.playing.player.handshake import session_commands
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode

@@ -136,7 +136,7 @@ def test_beats_that_a_show_has_are_replaced_only_with_force_and_as_anchors_on_re
         (folder / "show.yaml").read_text().replace("at_s: 4", "at_beat: 2")
     )
     assert lss.load_sequence("show.yaml").keyframes[1].is_anchor
-    monkeypatch.setattr("lss_motion.sequence.file.EVENTS_MAX", 20)
+    monkeypatch.setattr("lss_motion.show.file.EVENTS_MAX", 20)
     assert main(["beats", "song.wav", "--into", "show.yaml", "--force"]) == 2
     assert "has 31 beats, at most 20 go into a show; give --every" in capsys.readouterr().err
     assert main(["beats", "song.wav", "--into", "robot.yaml"]) == 2

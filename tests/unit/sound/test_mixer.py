@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benches.sound import hour_off_s
-from lss_motion.clock_leg import ClockLeg
 from lss_motion.sound.mixer import Mixer, Voice
 from lss_motion.sound.sources import Source
+from lss_motion.system.clock_leg import ClockLeg
 
 soundfile = pytest.importorskip(
     "soundfile", reason="sound files: pip install 'lss-motion[sound]'", exc_type=ImportError

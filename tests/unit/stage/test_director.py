@@ -573,7 +573,7 @@ def test_between_two_positions_the_timecode_goes_on_at_its_rate():
 
 
 def running(desk, from_s, to_s):
-    """Let the timecode run, and the player get ready as `stage.timecode` does, 5 s before."""
+    """Let the timecode run, and the player get ready as `stage.stage_timecode` does, 5 s before."""
     for at_s in range(from_s, to_s + 1):
         desk.director.take_timecode(float(at_s), 1.0, desk.now_ns)
         desk.obey()

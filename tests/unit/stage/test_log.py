@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from lss_motion.runtime.log import FIRST_LINE
+from lss_motion.playing.log import FIRST_LINE
 from lss_motion.stage.log import RING_MAX_BYTES, Ring, StageLog, Writer
 from lss_motion.stage.model import LogRule
 

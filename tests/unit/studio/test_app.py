@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from lss_motion.errors import InputError
-from lss_motion.remote import schema as m
+from lss_motion.playing.remote import schema as m
 from lss_motion.studio import web
 from lss_motion.studio.access import Door, Pairing, Role, make_cookie, new_token
 from lss_motion.studio.app import make_app

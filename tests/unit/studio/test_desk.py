@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import pytest
 
-from lss_motion.remote import schema as m
+from lss_motion.playing.remote import schema as m
 from lss_motion.studio import desk as desks
 from lss_motion.studio.access import Role
 from lss_motion.studio.desk import Desk, DeskOptions

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.remote import schema as m
+from lss_motion.playing.remote import schema as m
 from lss_motion.studio.access import Role
 from lss_motion.studio.client import EVENTS_MAX, OPERATIONS_BURST, OPERATIONS_HZ, Allowance
 from lss_motion.studio.hub import CLIENTS_MAX, OPERATOR_GRACE_S, OPERATOR_SILENT_S, Hub

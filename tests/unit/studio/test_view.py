@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import lss_motion as lss
-from lss_motion.program.verify import driven, profiles
+from lss_motion.planning.program.verify import driven, profiles
+from lss_motion.planning.shows import Show
 from lss_motion.robot.profile import profile_lead_s
-from lss_motion.shows import Show
 from lss_motion.studio.view import Window, view_bytes, view_of
 from lss_motion.studio.view_curves import Curve
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
-from lss_motion.sequence.model import Interpolation, Keyframe
+from lss_motion.show.model import Interpolation, Keyframe
 
 MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lss_motion.sequence.model import Sequence
+from lss_motion.show.model import Sequence
 
 if TYPE_CHECKING:
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.planning.trajectory.model import Trajectory
 
 
 def show(*frames, name="test", **more) -> Sequence:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.trajectory import catch_up
-from lss_motion.trajectory.tracks import planned_track
+from lss_motion.planning.trajectory import catch_up
+from lss_motion.planning.trajectory.tracks import planned_track
+from lss_motion.show.model import Keyframe, Sequence
 from tests.property.test_lateness import any_show
 
 SHOWS = 40

@@ -7,11 +7,11 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Response
 from lss_motion.robot.profile import ramp_deg_s2
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+from lss_motion.show.model import Interpolation, Keyframe, Sequence
 from lss_motion.sim.profile import Ramps, plan_move, travel_speed_deg_s
-from lss_motion.trajectory.planner import plan
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import PlanningError
-from lss_motion.sequence.model import Sequence
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.show.model import Sequence
 from tests.unit.trajectory.shows import show, trapezoid_s
 
 

@@ -9,8 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.sequence.model import Cue, Layer, Step, Timing
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.show.model import Cue, Layer, Step, Timing
 from tests.unit.trajectory.shows import at, show, trapezoid_s
 
 BASE = frozenset({"base"})

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.sequence.model import Timing
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.show.model import Timing
 from tests.unit.trajectory.shows import show, trapezoid_s
 
 

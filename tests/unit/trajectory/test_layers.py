@@ -10,11 +10,11 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.program.compile import compile_program
-from lss_motion.sequence.model import Cue, Layer, Sequence, Step
-from lss_motion.trajectory.cues import all_cues
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory.cues import all_cues
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Cue, Layer, Sequence, Step
 from tests.unit.trajectory.shows import at, blink, show
 
 
@@ -254,8 +254,8 @@ def test_layers_can_be_on_top_of_tracks_and_play_lists(make_robot, frame):
 def test_a_layered_plan_is_loaded_from_the_cache(make_robot, frame, monkeypatch):
     top = layer_of(blink(frame, joint="base"), "base", mode="add", from_s=2.0, fade_s=0.2)
     first = plan(base_show(frame, layers=(top,)), make_robot())
-    monkeypatch.setattr("lss_motion.trajectory.layers.verify", None)
-    monkeypatch.setattr("lss_motion.trajectory.layers.timed_windows", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.layers.verify", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.layers.timed_windows", None)
     again = plan(base_show(frame, layers=(top,)), make_robot())
     times_s = np.linspace(0.0, 8.0, 99)
     assert np.array_equal(first.sample(times_s), again.sample(times_s))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.sequence.model import Sequence
-from lss_motion.trajectory.cues import all_marks
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.trajectory.cues import all_marks
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Sequence
 
 PERIOD_S = 1.0
 KEYS = 16

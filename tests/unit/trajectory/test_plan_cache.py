@@ -15,12 +15,12 @@ from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.files import cache
-from lss_motion.sequence.model import Layer, Sequence
-from lss_motion.trajectory.model import PathClock, PathMotion
-from lss_motion.trajectory.path import Path as JointPath
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.recheck import _Limits, _pieces_within, is_within_limits
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.trajectory.model import PathClock, PathMotion
+from lss_motion.planning.trajectory.path import Path as JointPath
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.recheck import _Limits, _pieces_within, is_within_limits
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Layer, Sequence
 from tests.unit.trajectory.shows import show
 
 
@@ -152,8 +152,8 @@ POISONS = [
 def test_an_entry_as_it_was_stored_is_used(fast_show, make_robot, monkeypatch):
     planned = plan(fast_show, make_robot())
     put(entry(), content_of(entry()))
-    monkeypatch.setattr("lss_motion.trajectory.tracks.planned_track", None)
-    monkeypatch.setattr("lss_motion.trajectory.recheck.verify", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.tracks.planned_track", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.recheck.verify", None)
     again = plan(fast_show, make_robot())
     assert np.array_equal(sampled(again), sampled(planned))
     assert (again.marks, again.stretched) == (planned.marks, planned.stretched)
@@ -339,8 +339,8 @@ def test_a_jump_between_two_blocks_of_pieces_is_found(fast_show, make_robot, mon
         raise PlanningError("not proved")
 
     trajectory, robot = plan(fast_show, make_robot()), make_robot()
-    monkeypatch.setattr("lss_motion.trajectory.recheck.verify", refuse)
-    monkeypatch.setattr("lss_motion.trajectory.recheck.BLOCK_PIECES", 1)
+    monkeypatch.setattr("lss_motion.planning.trajectory.recheck.verify", refuse)
+    monkeypatch.setattr("lss_motion.planning.trajectory.recheck.BLOCK_PIECES", 1)
     assert is_within_limits(trajectory, robot)
     path = trajectory.middle.path
     coefficients = path.coefficients.copy()

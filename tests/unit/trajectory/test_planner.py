@@ -11,9 +11,9 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.files import cache
-from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory import planner
-from lss_motion.trajectory.planner import plan
+from lss_motion.planning.trajectory import planner
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.show.model import Sequence, Timing
 from tests.unit.trajectory.shows import show
 
 
@@ -28,8 +28,8 @@ def test_a_legal_show_and_a_cached_plan_do_not_import_toppra() -> None:
         """
         import sys
         from lss_motion.robot.model import *
-        from lss_motion.sequence.model import *
-        from lss_motion.trajectory.planner import plan
+        from lss_motion.show.model import *
+        from lss_motion.planning.trajectory.planner import plan
 
         model = ServoModel(name="m", family=Family.LSS, speed_max_deg_s=360, wire_per_deg=10)
         joint = Joint(name="a", servo_id=1, bus="b", model=model, position_min_deg=-90,
@@ -44,7 +44,7 @@ def test_a_legal_show_and_a_cached_plan_do_not_import_toppra() -> None:
             print(*(name in sys.modules for name in names))
 
         plan(show(0.1), robot)
-        print_loaded("toppra", "lss_motion.trajectory.tracks", "lss_motion.trajectory.solver")
+        print_loaded("toppra", "lss_motion.planning.trajectory.tracks", "lss_motion.planning.trajectory.solver")
         plan(show(3.0), robot)
         print_loaded("toppra", "scipy", "matplotlib")
         """
@@ -77,8 +77,8 @@ def test_a_fastest_show_is_slowed_as_a_whole(make_robot, frame):
 
 def test_a_plan_is_loaded_from_the_cache_and_equal(fast_move, make_robot, monkeypatch):
     first = plan(fast_move, make_robot())
-    monkeypatch.setattr("lss_motion.trajectory.tracks.timed_windows", None)
-    monkeypatch.setattr("lss_motion.trajectory.tracks.verify", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.tracks.timed_windows", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.tracks.verify", None)
     again = plan(fast_move, make_robot())
     times_s = np.linspace(0.0, first.duration_s, 99)
     assert np.array_equal(first.sample(times_s), again.sample(times_s))
@@ -91,7 +91,7 @@ def test_passes_that_differ_are_cached_and_equal(frame, make_robot, loop, monkey
     frames = [frame(0.0, base=0.0), frame(0.3, base=90.0), frame(0.9, base=-90.0)]
     show = Sequence(name="s", keyframes=(*frames, frame(1.2, base=0.0)), loop=loop)
     first = plan(show, make_robot())
-    monkeypatch.setattr("lss_motion.trajectory.tracks.verify", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.tracks.verify", None)
     again = plan(show, make_robot())
     assert again.is_periodic
     assert again.first is not again.middle

@@ -7,9 +7,9 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.sequence.model import Sequence, Step
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Sequence, Step
 from tests.unit.trajectory.shows import at, blink, show
 
 

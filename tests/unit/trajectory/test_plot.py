@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.picture import envelope
-from lss_motion.sequence.model import Cue, Sequence
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.plot import ASKED, plot
+from lss_motion.planning.picture import envelope
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.plot import ASKED, plot
+from lss_motion.show.model import Cue, Sequence
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 
 import lss_motion as lss
-from lss_motion.trajectory.plot import all_beats, plot
+from lss_motion.planning.trajectory.plot import all_beats, plot
 from tests.speech import spoken
 
 soundfile = pytest.importorskip(

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.perform import perform
-from lss_motion.program import compile as compiling
-from lss_motion.program.compile import compile_program
+from lss_motion.planning.program import compile as compiling
+from lss_motion.planning.program.compile import compile_program
+from lss_motion.planning.trajectory import reserve, solver
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.retime import laid_out
+from lss_motion.planning.trajectory.solver import is_legal, solve
+from lss_motion.planning.trajectory.tracks import planned_track
+from lss_motion.playing.perform import perform
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sequence.model import Keyframe, Sequence, Timing
-from lss_motion.trajectory import reserve, solver
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.retime import laid_out
-from lss_motion.trajectory.solver import is_legal, solve
-from lss_motion.trajectory.tracks import planned_track
+from lss_motion.show.model import Keyframe, Sequence, Timing
 from tests.joints import joint
 
 HORN_DEG = 1.5

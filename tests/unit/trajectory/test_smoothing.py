@@ -9,10 +9,10 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.sequence.model import Layer, Sequence, Step, Timing
-from lss_motion.summaries import plan_lines
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.summaries import plan_lines
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Layer, Sequence, Step, Timing
 from tests.unit.trajectory.shows import at, show
 
 STEP_S = 0.001

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import verify
+from lss_motion.show.model import Sequence, Timing
 from tests.unit.trajectory.shows import show, trapezoid_s
 
 

@@ -10,11 +10,11 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory.model import PathClock, PathMotion, Trajectory
-from lss_motion.trajectory.path import Path
-from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import extreme, verify
+from lss_motion.planning.trajectory.model import PathClock, PathMotion, Trajectory
+from lss_motion.planning.trajectory.path import Path
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.verify import extreme, verify
+from lss_motion.show.model import Sequence, Timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,11 +8,11 @@ import json
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.sync import midi as sync_midi
-from lss_motion.triggers import midi, mqtt
-from lss_motion.triggers.gpio import GpioPins
-from lss_motion.triggers.midi import MidiPort, trigger_of
-from lss_motion.triggers.sources import AllowList, Crossings, Gate
+from lss_motion.stage.timecode import midi as sync_midi
+from lss_motion.stage.triggers import midi, mqtt
+from lss_motion.stage.triggers.gpio import GpioPins
+from lss_motion.stage.triggers.midi import MidiPort, trigger_of
+from lss_motion.stage.triggers.sources import AllowList, Crossings, Gate
 
 
 def gate(said):

@@ -17,9 +17,9 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 from pythonosc.osc_packet import OscPacket
 
-from lss_motion.triggers import osc
-from lss_motion.triggers.osc_port import SUBSCRIBED_S, SUBSCRIBERS_MAX, OscPort, Subscribers
-from lss_motion.triggers.sources import AllowList, Crossings, Gate
+from lss_motion.stage.triggers import osc
+from lss_motion.stage.triggers.osc_port import SUBSCRIBED_S, SUBSCRIBERS_MAX, OscPort, Subscribers
+from lss_motion.stage.triggers.sources import AllowList, Crossings, Gate
 
 CUES = frozenset({"/hall/door", "/fader"})
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.triggers import sacn
-from lss_motion.triggers.sacn_port import SacnPort
-from lss_motion.triggers.sources import AllowList, Gate
+from lss_motion.stage.triggers import sacn
+from lss_motion.stage.triggers.sacn_port import SacnPort
+from lss_motion.stage.triggers.sources import AllowList, Gate
 
 DESK, OTHER = bytes(range(16)), bytes(16)
 THRESHOLDS = {"1/5": (127.0,), "300/512": (127.0,)}

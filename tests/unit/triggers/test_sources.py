@@ -7,8 +7,8 @@ import json
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
-from lss_motion.triggers.alerts import WebHook
-from lss_motion.triggers.sources import (
+from lss_motion.stage.triggers.alerts import WebHook
+from lss_motion.stage.triggers.sources import (
     BURST,
     RATE_HZ,
     REPORT_S,

@@ -5,8 +5,8 @@ import os
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.gait.stepping import STILL, Twist
-from lss_motion.walking.inputs import EVENT, Gamepad, OperatorInput
+from lss_motion.playing.walking.inputs import EVENT, Gamepad, OperatorInput
+from lss_motion.show.gait.stepping import STILL, Twist
 
 TOP = Twist(forward_mm_s=40.0, left_mm_s=20.0, turn_deg_s=10.0)
 UP, RIGHT = "\x1b[A", "\x1b[C"

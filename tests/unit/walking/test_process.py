@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from lss_motion import shows
 from lss_motion.errors import PlanningError
-from lss_motion.gait.model import BodyPose
-from lss_motion.gait.steering import slowed_to_limits
-from lss_motion.gait.stepping import STILL, Twist
-from lss_motion.program.move_table import MoveTable
-from lss_motion.walking.planner import PlanRequest, WalkPlanner
-from lss_motion.walking.process import PlannerProcess, packed, unpacked
+from lss_motion.planning import shows
+from lss_motion.planning.program.move_table import MoveTable
+from lss_motion.playing.walking.planner import PlanRequest, WalkPlanner
+from lss_motion.playing.walking.process import PlannerProcess, packed, unpacked
+from lss_motion.show.gait.model import BodyPose
+from lss_motion.show.gait.steering import slowed_to_limits
+from lss_motion.show.gait.stepping import STILL, Twist
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 AHEAD = PlanRequest(commanded=Twist(forward_mm_s=15.0), was_taken=False, begins_s=1.0)

@@ -1,0 +1,1 @@
+"""From a sequence to a verified program: trajectories, programs, and what explains them."""

@@ -1,0 +1,633 @@
+"""Making up for lateness: while the motion is late it goes faster than authored, until it is not.
+
+The rate is 1 where the motion is on time. From a span that is too slow on, it may rise to
+`PACE_MAX`, and comes back to 1 where the motion is on time again. It is never early. Holds keep
+their length. Where an anchor would be late, the way to it becomes as fast as it needs.
+
+`_Sweep` goes along the path, from one slow window to the next. Each is solved once, as fast as it
+can be, up to where it is guessed to be on time; if it is late there, the solution is continued.
+Where that would be early, `braking.braked` puts its end, on time at rate 1; only where that finds
+nothing (about one in fifty), the end is sought with more solutions.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from lss_motion.planning.trajectory.braking import braked, mixed
+from lss_motion.planning.trajectory.path import peaks
+from lss_motion.planning.trajectory.solver import (
+    MARGIN_RATIO,
+    RATE_SLACK,
+    RateWindow,
+    is_legal,
+    solve,
+)
+from lss_motion.show.splines import distinct, runs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.planning.trajectory.solver import RateTask
+
+    FloatArray = NDArray[np.float64]
+
+PACE_MAX: Final = 2.0
+"""Largest rate of a motion that is late. Chosen: more is seen as haste, and measured over random
+sequences a larger rate makes up for lateness hardly earlier."""
+
+PACE_ANCHOR_MAX: Final = 50.0
+"""Largest rate before an anchor that would be late. Chosen: a second of slack becomes 20 ms."""
+
+PACE_STEPS: Final = 5
+"""Halvings to find the least rate that meets an anchor: to within 11 %."""
+
+LATE_MIN_S: Final = 1e-5
+"""Less lateness is not made up: a hundredth of a millisecond."""
+
+EARLY_S: Final = 1e-8
+"""Earliness by rounding."""
+
+ANCHOR_LATE_S: Final = 1e-4
+"""An anchor that is later makes the motion before it faster. A tenth of what an anchor allows."""
+
+CATCH_UP_RATIO: Final = 0.003
+"""The faster one of two solutions that are mixed is early by at most this share of the lateness.
+Chosen: far below the 2 % by which the sum of all lateness may exceed the least."""
+
+END_ERROR_S: Final = 0.002
+"""That instant is not sought more precisely: two solutions so near are mixed."""
+
+ROUNDS_MAX: Final = 6
+"""Solutions to find one instant at which the motion is on time. Measured: 2 or 3 are needed."""
+
+SAVED_RATIO: Final = 1.5
+"""Share of the time that the steady rates of the segments ahead would save in which the motion is
+guessed to be on time. Above 1, because a solution that ends too early is only continued. Measured
+with 0.7 to 3: this one has the fewest cells."""
+
+GUESSED_SEGMENTS: Final = 400
+"""The guess looks no further ahead."""
+
+FIRST_S: Final = 0.2
+"""Added to the guess: the rate rises and falls gradually."""
+
+NEXT_S: Final = 0.1
+"""A solution ends where the next slow part begins, if that is so much later than the last one."""
+
+END_REACH_S: Final = 0.5
+"""Where a solution is continued, so much of it is solved again. Its end counts for the rates in
+half of that; if they differ at the middle, it is twice as much."""
+
+SAME_RATIO: Final = 2e-3
+"""Squared rates that differ by less, as they do on different grids, are the same."""
+
+BRAKE_S: Final = 0.25
+"""What is solved again begins this long before the motion is on time, and twice as long before
+where the rate must fall earlier."""
+
+HEAD_START_S: Final = 0.001
+"""Where a motion would be early as soon as it may be fast, it must first be so late."""
+
+TIGHT_RATIO: Final = 0.01
+"""Segments authored so near a limit may use all of it, so that rate 1 is never too fast."""
+
+MARGIN_S: Final = 0.03
+MARGIN_CELLS: Final = 2
+"""Around a slow part so much is solved with it: the grid on which it was found is coarse."""
+
+
+class Dues(Struct, frozen=True, kw_only=True):
+    """What the author wants along a path: times, holds, anchors and where lateness starts anew.
+
+    `held` has from where to where a hold must be kept, (n, 2), in order and apart. At `seams_s` one
+    pass ends and the next begins. A pass does not make up for the lateness of another.
+    """
+
+    authored: Callable[[FloatArray], FloatArray]
+    held: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    anchors_s: tuple[float, ...] = ()
+    seams_s: tuple[float, ...] = ()
+
+    def spent(self, from_s: float, to_s: float) -> float:
+        """Return the authored time between two positions."""
+        start_s, end_s = self.authored(np.array([from_s, to_s])).tolist()
+        return float(end_s - start_s)
+
+    def lateness(self, window: RateWindow, late_s: float) -> FloatArray:
+        """Return how late the motion is at each grid point, if it is `late_s` at the first."""
+        authored_s = self.authored(window.grid_s)
+        passed_s = np.concatenate([[0.0], np.cumsum(window.spent_s)])
+        return np.asarray(late_s + passed_s - (authored_s - authored_s[0]))
+
+    def least_s(self, window: RateWindow, late_s: float, after_s: float) -> float:
+        """Return the least lateness behind a position, negative where the motion is early."""
+        lateness_s = self.lateness(window, late_s)[window.grid_s > after_s]
+        return float(lateness_s.min(initial=math.inf))
+
+    def is_held(self, from_s: float, to_s: float) -> bool:
+        """Return whether a hold covers these positions, between which no hold starts or ends."""
+        middle_s = 0.5 * (from_s + to_s)
+        return bool(((self.held[:, 0] < middle_s) & (middle_s < self.held[:, 1])).any())
+
+
+def made_up(
+    task: RateTask, windows: Sequence[RateWindow], stops_s: FloatArray, dues: Dues
+) -> list[RateWindow] | None:
+    """Return the windows of the path in which the rate is not 1, lateness made up for.
+
+    None: a slow part begins so close behind another one that the rates between them do not agree.
+
+    `windows` have the slow parts at rates up to 1. Those that contain a seam are kept as they are.
+    At the positions `stops_s` no joint moves, so that the rate may jump.
+    """
+    if not windows:
+        return []
+    for is_eased in (True, False):
+        try:
+            return _Sweep(task, windows, stops_s, dues, is_eased=is_eased).run()
+        except _RateJumpError:
+            continue
+    return None
+
+
+def _from(window: RateWindow, whole: RateWindow, head: int) -> RateWindow:
+    """Return a window from a grid point of `whole` on, whose rates it has before its own."""
+    from_s = float(whole.grid_s[head])
+    before = (whole.grid_s >= from_s) & (whole.grid_s < window.from_s)
+    after = window.grid_s >= from_s
+    return RateWindow(
+        np.concatenate([whole.grid_s[before], window.grid_s[after]]),
+        np.concatenate([whole.squares[before], window.squares[after]]),
+    )
+
+
+class _RateJumpError(Exception):
+    """A window would begin at a lower rate than the motion before it has."""
+
+
+def _slow_parts(window: RateWindow) -> Iterator[RateWindow]:
+    """Yield the parts of a window in which the rate is below 1, with a margin on both sides."""
+    squares, count = window.squares, len(window.squares)
+    is_near = np.zeros(count - 1, dtype=np.bool_)
+    for first, end in runs(np.minimum(squares[:-1], squares[1:]) < 1.0):
+        low = np.searchsorted(window.grid_s, window.grid_s[first] - MARGIN_S, side="right") - 1
+        high = np.searchsorted(window.grid_s, window.grid_s[end] + MARGIN_S, side="left")
+        low, high = min(low, first - MARGIN_CELLS), max(high, end + MARGIN_CELLS)
+        is_near[max(low, 0) : high] = True
+    for first, end in runs(is_near):
+        yield RateWindow(window.grid_s[first : end + 1], squares[first : end + 1])
+
+
+def _late_from(window: RateWindow, dues: Dues, late_s: float) -> float:
+    """Return from where on the motion is later than `late_s`; the end if it never is."""
+    is_late = (dues.lateness(window, 0.0) > late_s) & (window.squares < 1.0)
+    return float(window.grid_s[int(np.argmax(is_late))]) if is_late.any() else window.to_s
+
+
+class _Place(Struct, frozen=True):
+    """Where the sweep is, how late, and how many windows it has found."""
+
+    at_s: float
+    late_s: float
+    found: tuple[RateWindow, ...]
+
+
+def _shares(task: RateTask) -> FloatArray:
+    """Return the share of the limits that each segment may use where the motion is not slow."""
+    speed, accel = peaks(task.path)
+    used = np.maximum(speed / task.speed_max_deg_s, accel / task.accel_max_deg_s2).max(axis=1)
+    return np.where(np.abs(used - 1.0) < TIGHT_RATIO, 1.0, MARGIN_RATIO)
+
+
+def _rates(task: RateTask, held_s: FloatArray) -> FloatArray:
+    """Return the largest steady rate of each segment; 1 where a hold is kept."""
+    speed, accel = peaks(task.path)
+    used = np.maximum(speed / task.speed_max_deg_s, np.sqrt(accel / task.accel_max_deg_s2))
+    rates = 1.0 / np.clip(used.max(axis=1), 1.0 / PACE_ANCHOR_MAX, 1.0)  # A slow part is 1, too.
+    middles_s = 0.5 * (task.path.knots_s[:-1] + task.path.knots_s[1:])
+    for from_s, to_s in held_s.tolist():
+        rates[slice(*np.searchsorted(middles_s, [from_s, to_s]))] = 1.0
+    return np.asarray(rates)
+
+
+class _Sweep:
+    """Goes along the path once. `found` has the windows so far, `late_s` the lateness after them.
+
+    `on_time` is the last place at which the motion was on time. `is_eased`: limits are not used to
+    the last part in a thousand where the motion is not slow, so that hardly a cell needs repair.
+    """
+
+    def __init__(
+        self,
+        task: RateTask,
+        windows: Sequence[RateWindow],
+        stops_s: FloatArray,
+        dues: Dues,
+        *,
+        is_eased: bool,
+    ) -> None:
+        self.task = replace(task, knot_caps={}, shares=_shares(task) if is_eased else None)
+        self.dues = dues
+        self.windows: list[RateWindow] = []
+        self.is_fixed: list[bool] = []
+        for window in windows:
+            is_fixed = any(window.from_s < seam < window.to_s for seam in dues.seams_s)
+            parts = [window] if is_fixed else list(_slow_parts(window))
+            self.windows += parts
+            self.is_fixed += [is_fixed] * len(parts)
+        self.starts_s = [window.from_s for window in self.windows]
+        fixed_s = [s for s, fixed in zip(self.starts_s, self.is_fixed, strict=True) if fixed]
+        free_s = [seam for seam in dues.seams_s if self._window_at(seam) is None]
+        self.stops_s = frozenset(stops_s.tolist())
+        self.end_s = float(task.path.knots_s[-1])
+        self.edges_s = sorted({*self.stops_s, *fixed_s, *free_s, self.end_s})
+        rest_ends = (stops_s, dues.held.ravel(), dues.anchors_s, [self.end_s])
+        self.rest_edges_s = distinct(np.concatenate([*map(np.asarray, rest_ends)])).tolist()
+        self.is_rest = task.path.rests
+        self.anchors_s = sorted(dues.anchors_s)
+        self.pace = PACE_MAX
+        self.rates = _rates(task, dues.held)
+        self.at_s = min(self.starts_s, default=self.end_s)
+        self.late_s = 0.0
+        self.found: list[RateWindow] = []
+        self.on_time = self._place()
+
+    def run(self) -> list[RateWindow]:
+        while self.at_s < self.end_s:
+            missed_s = self._step()
+            if missed_s is not None:
+                self._hurry(missed_s)
+        return self.found
+
+    def _place(self) -> _Place:
+        return _Place(self.at_s, self.late_s, tuple(self.found))
+
+    def _return_to(self, place: _Place) -> None:
+        self.at_s, self.late_s, self.found = place.at_s, place.late_s, list(place.found)
+
+    def _window_at(self, at_s: float) -> RateWindow | None:
+        """Return the window in which a position lies; not at its ends."""
+        index = bisect_left(self.starts_s, at_s) - 1
+        if index >= 0 and at_s < self.windows[index].to_s:
+            return self.windows[index]
+        return None
+
+    def _hurry(self, anchor_s: float) -> None:
+        """Go again from where the motion was on time, as fast as the anchor needs, to behind it.
+
+        If it cannot be met, the fastest way remains: it has the least lateness.
+        """
+        start = self.on_time
+        self.anchors_s = [at_s for at_s in self.anchors_s if at_s != anchor_s]
+
+        def is_met(pace: float) -> bool:
+            self._return_to(start)
+            self.pace = pace
+            self.on_time = start
+            missed = False
+            while self.at_s < anchor_s:
+                before_s = self.at_s
+                self._step()
+                missed = before_s < anchor_s <= self.at_s and self._late_at(anchor_s)
+            self.pace = PACE_MAX
+            return not missed
+
+        if is_met(PACE_ANCHOR_MAX):
+            best, low, high = self._place(), math.log(PACE_MAX), math.log(PACE_ANCHOR_MAX)
+            for _ in range(PACE_STEPS):
+                middle = 0.5 * (low + high)
+                if is_met(math.exp(middle)):
+                    best, high = self._place(), middle
+                else:
+                    low = middle
+            self._return_to(best)
+
+    def _late_at(self, anchor_s: float) -> bool:
+        """Return whether an anchor at or shortly before the present place is missed."""
+        late_s = self.late_s
+        if anchor_s < self.at_s and self.found and self.found[-1].from_s < anchor_s:
+            window = self.found[-1]
+            backwards = self.dues.lateness(window, 0.0)
+            late_s += float(np.interp(anchor_s, window.grid_s, backwards - backwards[-1]))
+        return late_s > ANCHOR_LATE_S
+
+    def _step(self) -> float | None:
+        """Go on by one window, rest or jump; return the first anchor on this way that is late."""
+        from_s = self.at_s
+        if from_s in self.dues.seams_s:
+            self.late_s = 0.0
+        index = bisect_left(self.starts_s, from_s)
+        is_start = index < len(self.starts_s) and self.starts_s[index] == from_s
+        if self.late_s <= LATE_MIN_S:
+            self.on_time = self._place()
+        if is_start and self.is_fixed[index]:
+            self._keep(self.windows[index])
+        elif self.late_s <= LATE_MIN_S and not is_start:
+            self.at_s = self.starts_s[index] if index < len(self.starts_s) else self.end_s
+            return None
+        elif not self._rested():
+            self._follow(self.windows[index] if is_start else None)
+        for anchor_s in self.anchors_s[bisect_right(self.anchors_s, from_s) :]:
+            if anchor_s > self.at_s:
+                return None
+            if self._late_at(anchor_s):
+                return anchor_s
+        return None
+
+    def _keep(self, window: RateWindow) -> None:
+        """Take a window with a seam as it is; lateness counts from the seam."""
+        self.found.append(window)
+        late_s = self.dues.lateness(window, self.late_s)
+        seam_s = max(seam for seam in self.dues.seams_s if seam < window.to_s)
+        self.late_s = float(late_s[-1] - np.interp(seam_s, window.grid_s, late_s))
+        self.at_s = window.to_s
+
+    def _rested(self) -> bool:
+        """Go over a rest, or a hold under which others move; return whether there is one."""
+        from_s = self.at_s
+        edge_s = self.rest_edges_s[bisect_right(self.rest_edges_s, from_s)]
+        is_held = self.dues.is_held(from_s, edge_s)
+        segment = int(self.task.path.segments_of(np.array([from_s]))[0])
+        if self.is_rest[segment]:
+            if not is_held:
+                self.late_s = max(0.0, self.late_s - self.dues.spent(from_s, edge_s))
+            self.at_s = edge_s
+            return True
+        index = bisect_left(self.starts_s, from_s)
+        if is_held and (index == len(self.starts_s) or self.starts_s[index] >= edge_s):
+            self.at_s = edge_s
+            return True
+        return False
+
+    def _follow(self, window: RateWindow | None) -> None:
+        """Go on as fast as possible, from the start of a slow window or with lateness alone."""
+        from_s, late_s = self.at_s, self.late_s
+        fast_s, lost_s, until_s = -math.inf, late_s, from_s
+        if window is not None:
+            lost_s += max(0.0, float(self.dues.lateness(window, 0.0)[-1]))
+            until_s = window.grid_s[np.flatnonzero(window.squares < 1.0)[-1]]
+            if late_s <= LATE_MIN_S:
+                fast_s = _late_from(window, self.dues, 0.0)
+        edge_s = self.edges_s[bisect_right(self.edges_s, from_s)]
+        wanted_s = self._guessed_s(until_s, lost_s)
+        needed_s = HEAD_START_S
+        fastest: RateWindow | None = None
+        while True:
+            to_s = self._end(wanted_s, edge_s, until_s)
+            fastest = whole = self._fastest(fastest, from_s, to_s, fast_s)
+            if whole.squares[0] < 1.0 - RATE_SLACK and from_s not in self.stops_s:
+                raise _RateJumpError
+            lateness_s = self.dues.lateness(whole, late_s)
+            early = self._early(whole, lateness_s, fast_s)
+            if early and window and late_s + lateness_s[:early].max() <= LATE_MIN_S:
+                # It would be early before it is late: it must be slow for longer.
+                if fast_s >= window.to_s:
+                    whole = self._solved(from_s, window.to_s, (math.inf, math.inf))
+                    lateness_s = self.dues.lateness(whole, late_s)
+                    break
+                fast_s = _late_from(window, self.dues, needed_s)
+                needed_s *= 4.0
+                fastest = None
+                continue
+            is_met = False
+            if early:
+                whole, is_met = self._settled(whole, late_s, (fast_s, edge_s))
+                lateness_s = self.dues.lateness(whole, late_s)
+            if is_met or to_s >= edge_s or lateness_s[-1] <= LATE_MIN_S:
+                break
+            gain = max(1.0 - 1.0 / math.sqrt(float(whole.squares.max())), 0.1)
+            until_s = to_s
+            wanted_s = to_s + max(float(lateness_s[-1]) / gain, 0.5 * (to_s - from_s))
+        self.found.append(whole)
+        self.at_s = whole.to_s
+        self.late_s = max(0.0, float(lateness_s[-1]))
+
+    def _guessed_s(self, until_s: float, lost_s: float) -> float:
+        """Return about where the motion is on time again that is `lost_s` late at a position."""
+        knots_s = self.task.path.knots_s
+        first = int(np.searchsorted(knots_s, until_s, side="right")) - 1
+        edges_s = knots_s[first : first + GUESSED_SEGMENTS + 1].copy()
+        edges_s[0] = until_s
+        rates = np.minimum(self.rates[first : first + GUESSED_SEGMENTS], self.pace)
+        saved_s = SAVED_RATIO * np.cumsum(np.diff(edges_s) * (1.0 - 1.0 / rates))
+        return float(np.interp(lost_s, np.append(0.0, saved_s), edges_s)) + FIRST_S
+
+    def _fastest(
+        self, known: RateWindow | None, from_s: float, to_s: float, fast_s: float
+    ) -> RateWindow:
+        """Return the largest rates from a position to another; they may be above 1 behind `fast_s`.
+
+        `known` has those up to an earlier end. Only what comes shortly before that is solved again:
+        there the rate fell to 1.
+        """
+        back_s = END_REACH_S
+        while known and (head := self._head(known, known.to_s - back_s)):
+            start_max = float(known.squares[head])
+            tail = self._solved(
+                float(known.grid_s[head]), to_s, (fast_s, math.inf), start_max=start_max
+            )
+            middle = self._head(known, known.to_s - 0.5 * back_s)
+            found = float(np.interp(known.grid_s[middle], tail.grid_s, tail.squares))
+            is_same = abs(found - known.squares[middle]) <= SAME_RATIO * found
+            if is_same and tail.squares[0] >= start_max - RATE_SLACK:
+                return RateWindow(
+                    np.concatenate([known.grid_s[:head], tail.grid_s]),
+                    np.concatenate([known.squares[:head], tail.squares]),
+                )
+            back_s *= 2.0
+        return self._solved(from_s, to_s, (fast_s, math.inf))
+
+    @staticmethod
+    def _early(whole: RateWindow, lateness_s: FloatArray, fast_s: float) -> int:
+        """Return the first grid point at which the motion is early; 0: none."""
+        is_early = (lateness_s < -EARLY_S) & (whole.grid_s > fast_s)
+        return int(np.argmax(is_early))
+
+    def _settled(
+        self, whole: RateWindow, late_s: float, bounds_s: tuple[float, float]
+    ) -> tuple[RateWindow, bool]:
+        """Return the window nowhere early, and whether it ends where the motion is on time.
+
+        If it does not, the motion is on time only for an instant, before it has to be slow again.
+        """
+        fast_s = bounds_s[0]
+        before = 0
+        while True:
+            lateness_s = self.dues.lateness(whole, late_s)
+            early = self._early(whole, lateness_s, fast_s)
+            if not early:
+                return whole, False
+            lateness = self._lateness_along(whole, late_s)
+            found = braked(self.task, whole, early, lateness, fast_s) if early > before else None
+            if found is None or (found.to_s < whole.to_s and not self._is_freed(found.to_s)):
+                met_s = float(whole.grid_s[early - 1])
+                whole = self._on_time(whole, lateness_s, early, bounds_s)
+                return self._cut(whole, met_s), True
+            before, whole, is_whole = early, found, found.to_s == whole.to_s
+            if not is_whole or abs(self.dues.lateness(whole, late_s)[-1]) <= LATE_MIN_S:
+                return whole, True
+
+    def _lateness_along(
+        self, whole: RateWindow, late_s: float
+    ) -> Callable[[RateWindow], FloatArray]:
+        """Return a function for the lateness of windows on the first grid points of `whole`."""
+        authored_s = self.dues.authored(whole.grid_s)
+        due_s = authored_s - authored_s[0] - late_s
+
+        def lateness(window: RateWindow) -> FloatArray:
+            passed_s = np.concatenate([[0.0], np.cumsum(window.spent_s)])
+            return np.asarray(passed_s - due_s[: len(passed_s)])
+
+        return lateness
+
+    def _is_freed(self, at_s: float) -> bool:
+        """Return whether the motion can go on at rate 1 from a position inside of a slow window.
+
+        What is slow behind it becomes a window of its own.
+        """
+        outline = self._window_at(at_s)
+        if outline is None or self._split(outline, at_s):
+            return True
+        rest_s = np.append(at_s, outline.grid_s[outline.grid_s > at_s])
+        return is_legal(self.task, RateWindow(rest_s, np.ones(len(rest_s))), 0)
+
+    def _split(self, outline: RateWindow, at_s: float) -> bool:
+        """Let a window begin at a position, if it is slow behind it; return whether it is."""
+        rest_s = np.append(at_s, outline.grid_s[outline.grid_s > at_s])
+        levels = np.append(1.0, np.interp(rest_s[1:], outline.grid_s, outline.squares))
+        if not (levels < 1.0).any():
+            return False
+        index = bisect_right(self.starts_s, at_s)
+        self.windows.insert(index, RateWindow(rest_s, levels))
+        self.starts_s.insert(index, at_s)
+        self.is_fixed.insert(index, False)
+        return True
+
+    def _cut(self, whole: RateWindow, met_s: float) -> RateWindow:
+        """Return the window up to where the rate is 1 again behind `met_s`, if it is slow later.
+
+        That slow part becomes a window of its own, from which on the motion may be fast again.
+        """
+        grid_s, squares = whole.grid_s, whole.squares
+        steady = np.flatnonzero((np.abs(squares - 1.0) < RATE_SLACK) & (grid_s > met_s))
+        if not len(steady):
+            return whole
+        at = int(steady[0])
+        later = np.flatnonzero(squares[at:] < 1.0 - RATE_SLACK)
+        if not len(later) or later[0] <= MARGIN_CELLS:
+            return whole
+        at_s = float(grid_s[at])
+        if outline := self._window_at(at_s):
+            self._split(outline, at_s)
+        return RateWindow(grid_s[: at + 1], squares[: at + 1])
+
+    def _end(self, wanted_s: float, edge_s: float, least_s: float = math.inf) -> float:
+        """Return where a window may end: at the edge, well behind a slow one, or where one begins.
+
+        The latter if that is behind `least_s`. Behind a slow part the rate may first have to rise
+        above 1, and then needs room to fall.
+        """
+        end_s = wanted_s
+        while window := self._window_at(end_s):
+            if window.from_s > least_s + NEXT_S:
+                return window.from_s
+            end_s = window.to_s + BRAKE_S
+        return edge_s if end_s > edge_s - 2.0 * EARLY_S else end_s
+
+    def _solved(
+        self,
+        from_s: float,
+        to_s: float,
+        fast_s: tuple[float, float],
+        start_max: float | None = None,
+    ) -> RateWindow:
+        """Return the largest rates: up to 1, and up to the pace between the positions `fast_s`."""
+        limits = (math.inf if at_s in self.stops_s else 1.0 for at_s in (from_s, to_s))
+        begin_max, end_max = limits
+        slow_s = [
+            (float(window.grid_s[cell]), float(window.grid_s[cell + 1]))
+            for window in self.windows[max(0, bisect_right(self.starts_s, from_s) - 1) :]
+            if window.from_s < to_s
+            for cell in np.flatnonzero(np.minimum(window.squares[:-1], window.squares[1:]) < 1.0)
+        ]
+        held = self.dues.held
+        return solve(
+            replace(
+                self.task,
+                rate_max=self.pace,
+                fast_s=fast_s,
+                calm_s=held[(held[:, 1] > from_s) & (held[:, 0] < to_s)],
+                slow_s=np.array(slow_s),
+            ),
+            from_s,
+            to_s,
+            start_max=begin_max if start_max is None else start_max,
+            end_max=end_max,
+        )
+
+    def _on_time(
+        self, whole: RateWindow, lateness_s: FloatArray, early: int, bounds_s: tuple[float, float]
+    ) -> RateWindow:
+        """Return the window with the rate back at 1 where the motion is on time.
+
+        `whole` goes on at the pace. It is early at its grid point `early` for the first time.
+        """
+        fast_s, edge_s = bounds_s
+        least_s = -CATCH_UP_RATIO * float(lateness_s.max())
+        head = self._head(whole, whole.grid_s[early - 1] - BRAKE_S)
+        until_s, low_s, high_s = float(whole.grid_s[early - 1]), -math.inf, whole.to_s
+        faster = whole
+        best_s = self.dues.least_s(whole, float(lateness_s[0]), fast_s)
+        growth = 1.0
+        for _ in range(ROUNDS_MAX):
+            if low_s > -math.inf and (best_s >= least_s or high_s - low_s < END_ERROR_S):
+                break
+            to_s = self._end(max(until_s, float(whole.grid_s[head]) + MARGIN_S), edge_s)
+            tail, head = self._tail(whole, head, to_s, (fast_s, until_s))
+            found_s = self.dues.least_s(tail, float(lateness_s[head]), fast_s)
+            gain = max(1.0 - 1.0 / math.sqrt(float(tail.squares.max())), 0.05)
+            if found_s >= 0.0:
+                low_s, growth = until_s, 2.0 * growth
+            else:
+                faster, best_s, high_s = tail, found_s, until_s
+            until_s += growth * (found_s - 0.5 * least_s) / gain
+            if not low_s < until_s < high_s:
+                until_s = 0.5 * (max(low_s, high_s - BRAKE_S) + high_s)
+        low_s = max(low_s, float(whole.grid_s[0]))
+        slower, head = self._tail(whole, head, faster.to_s, (fast_s, low_s))
+        faster = _from(faster, whole, head)
+        tail = mixed(
+            slower, faster, lambda tail: self.dues.least_s(tail, float(lateness_s[head]), fast_s)
+        )
+        return RateWindow(
+            np.concatenate([whole.grid_s[:head], tail.grid_s]),
+            np.concatenate([whole.squares[:head], tail.squares]),
+        )
+
+    def _tail(
+        self, whole: RateWindow, head: int, to_s: float, fast_s: tuple[float, float]
+    ) -> tuple[RateWindow, int]:
+        """Return the largest rates from a grid point of `whole` to `to_s`, and that grid point.
+
+        It is `head`, or the last one before it from which the limits allow this.
+        """
+        while True:
+            start_max = float(whole.squares[head])
+            tail = self._solved(float(whole.grid_s[head]), to_s, fast_s, start_max)
+            if head == 0 or tail.squares[0] >= start_max - RATE_SLACK:
+                return tail, head
+            behind_s = max(2.0 * (fast_s[1] - float(whole.grid_s[head])), BRAKE_S)
+            head = min(head - 1, self._head(whole, fast_s[1] - behind_s))
+
+    def _head(self, whole: RateWindow, at_s: float) -> int:
+        """Return the grid point of `whole` at or before a position."""
+        return max(0, int(np.searchsorted(whole.grid_s, at_s, side="right")) - 1)

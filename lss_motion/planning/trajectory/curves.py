@@ -1,0 +1,308 @@
+"""The curve of a joint between its keys, for each ease, as piecewise cubics.
+
+Everything here is over the path position; time, speed limits and rates come later (`retime`). Only
+`hold` uses the joint's limits: its move starts as late as they allow; and `command` its ramps.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from lss_motion.planning.trajectory.commands import carried_out
+from lss_motion.planning.trajectory.keys import (
+    PATH_DECIMALS,
+    SAME_ANGLE_DEG,
+    least_move_s,
+    rests_at,
+)
+from lss_motion.planning.trajectory.path import Path, hermite
+from lss_motion.show.model import LINEAR_RAMP_RATIO, Interpolation
+from lss_motion.show.splines import clamped_slopes, distinct, monotone_slopes, runs
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from lss_motion.planning.trajectory.commands import CarriedOut
+    from lss_motion.planning.trajectory.keys import Key, Spacing
+    from lss_motion.robot.model import Joint, Robot
+
+    FloatArray = NDArray[np.float64]
+
+ANGLE_DECIMALS: Final = 9
+"""Angles are rounded to this, so that a difference by rounding alone is no move."""
+
+REST_SHARE_MAX: Final = 0.98
+"""A move gives at most this share of its length to the rests around it. `spacing_of` makes it long
+enough; keys that only rounding keeps apart have no more to give."""
+
+_FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
+"""Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""
+
+
+class JointKeys(Struct, frozen=True):
+    """The keys of one joint along the path: where each is reached and left, its angle and its ease.
+
+    `eases[k]` shapes the move that ends at key k.
+    """
+
+    reached_s: FloatArray
+    left_s: FloatArray
+    deg: FloatArray
+    is_held: NDArray[np.bool_]
+    eases: tuple[Interpolation, ...]
+
+    @property
+    def lengths_s(self) -> FloatArray:
+        return self.reached_s[1:] - self.left_s[:-1]
+
+    @property
+    def secants_deg_s(self) -> FloatArray:
+        return np.diff(self.deg) / self.lengths_s
+
+    def are(self, *kinds: Interpolation) -> NDArray[np.bool_]:
+        """Return for each move whether its ease is one of `kinds`."""
+        return np.array([ease in kinds for ease in self.eases[1:]], dtype=np.bool_)
+
+
+def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
+    """Return the keys with their path positions; a key within an earlier hold is merged with it."""
+    reached_s: list[float] = []
+    left_s: list[float] = []
+    is_held: list[bool] = []
+    kept: list[Key] = []
+    for key in own:
+        at_s, until_s = float(spacing.reached_s[key.index]), float(spacing.left_s[key.index])
+        if kept and at_s <= left_s[-1]:
+            left_s[-1] = max(left_s[-1], until_s)
+            is_held[-1] |= key.is_held
+        else:
+            reached_s.append(at_s)
+            left_s.append(until_s)
+            is_held.append(key.is_held)
+            kept.append(key)
+    angles_deg = np.array([key.deg for key in kept], dtype=np.float64)
+    return JointKeys(
+        np.array(reached_s),
+        np.array(left_s),
+        np.asarray(np.round(angles_deg, ANGLE_DECIMALS), dtype=np.float64),
+        np.array(is_held),
+        tuple(key.ease for key in kept),
+    )
+
+
+def with_longer_rests(
+    keys: JointKeys, half_s: float, *, is_from_rest: bool = True, is_to_rest: bool = True
+) -> JointKeys:
+    """Return the keys, each rest of them reached `half_s` earlier and left so much later.
+
+    `is_from_rest` and `is_to_rest` False: the pass begins or ends in motion.
+    """
+    if half_s <= 0.0:
+        return keys
+    is_rest = rests_at(keys.deg, keys.is_held, keys.eases)
+    is_rest[0] &= is_from_rest
+    is_rest[-1] &= is_to_rest
+    is_move = np.abs(np.diff(keys.deg)) > SAME_ANGLE_DEG
+    rests = is_rest[:-1].astype(np.float64) + is_rest[1:]
+    most_s = REST_SHARE_MAX * keys.lengths_s / np.maximum(rests, 1.0)
+    most_s = np.where(is_move, np.minimum(half_s, most_s), 0.0)
+    reached_s, left_s = keys.reached_s.copy(), keys.left_s.copy()
+    left_s[:-1] += np.where(is_rest[:-1], most_s, 0.0)
+    reached_s[1:] -= np.where(is_rest[1:], most_s, 0.0)
+    return replace(
+        keys,
+        reached_s=np.asarray(np.round(reached_s, PATH_DECIMALS)),
+        left_s=np.asarray(np.round(left_s, PATH_DECIMALS)),
+        is_held=keys.is_held | is_rest,
+    )
+
+
+def seam_slope_deg_s(keys: JointKeys, length_s: float) -> float:
+    """Return the slope of a joint where one pass joins the next; 0 where the joint rests there."""
+    if (
+        len(keys.deg) < 2
+        or keys.reached_s[0] > 0.0
+        or keys.reached_s[-1] < length_s
+        or keys.is_held[[0, -1]].any()
+        or keys.eases[1] not in _FLOWING
+        or keys.eases[-1] not in _FLOWING
+    ):
+        return 0.0
+    lengths_s, secants = keys.lengths_s, keys.secants_deg_s
+    return float(monotone_slopes(lengths_s[[-1, 0]], secants[[-1, 0]])[0])
+
+
+def build_path(
+    keys: Mapping[str, JointKeys],
+    robot: Robot,
+    length_s: float,
+    *,
+    start_slopes: Mapping[str, float] | None = None,
+    end_slopes: Mapping[str, float] | None = None,
+) -> Path:
+    """Return the path of one pass. `start_slopes` and `end_slopes`: joint to slope, 0 if absent."""
+    pieces = [
+        _pieces(
+            own,
+            robot.joints[name],
+            length_s,
+            (start_slopes or {}).get(name, 0.0),
+            (end_slopes or {}).get(name, 0.0),
+        )
+        for name, own in keys.items()
+    ]
+    starts_s = distinct(np.concatenate([starts for starts, _ in pieces]))
+    coefficients = np.empty((len(starts_s), 4, len(pieces)))
+    for column, (own_starts_s, cubics) in enumerate(pieces):
+        chosen = np.searchsorted(own_starts_s, starts_s, side="right") - 1
+        coefficients[:, :, column] = shifted(cubics[chosen], starts_s - own_starts_s[chosen])
+    return Path(
+        knots_s=np.append(starts_s, max(length_s, float(starts_s[-1]))), coefficients=coefficients
+    )
+
+
+def shifted(cubics: FloatArray, by_s: FloatArray) -> FloatArray:
+    """Return the same cubics around an origin that lies `by_s` later."""
+    constant, linear, square, cube = cubics.T
+    return np.stack(
+        [
+            constant + by_s * (linear + by_s * (square + by_s * cube)),
+            linear + by_s * (2.0 * square + by_s * 3.0 * cube),
+            square + by_s * 3.0 * cube,
+            cube,
+        ],
+        axis=1,
+    )
+
+
+def _pieces(
+    keys: JointKeys, joint: Joint, length_s: float, start_slope: float, end_slope: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return starts and cubics of one joint's pieces, in order, from 0 to `length_s`."""
+    slopes = _slopes(keys, start_slope, end_slope)
+    is_flowing = keys.are(*_FLOWING)
+    commands = commands_of(keys, joint, length_s)
+    is_linear = keys.are(Interpolation.LINEAR, Interpolation.COMMAND)
+    is_linear[commands.covered] = False
+    moving = [
+        _flowing(keys, slopes, np.flatnonzero(is_flowing)),
+        _linear(keys, np.flatnonzero(is_linear)),
+        _late(keys, joint, np.flatnonzero(keys.are(Interpolation.HOLD))),
+    ]
+    still = np.zeros((len(keys.deg) + 1, 4))
+    still[:, 0] = keys.deg[[0, *range(len(keys.deg))]]
+    still_starts_s = np.concatenate([[0.0], keys.reached_s])
+    still_ends_s = np.concatenate([keys.reached_s[:1], keys.left_s])
+    still_ends_s[-1] = max(length_s, still_ends_s[-1])
+    starts_s = np.concatenate([still_starts_s, *(starts for starts, _, _ in moving)])
+    ends_s = np.concatenate([still_ends_s, *(ends for _, ends, _ in moving)])
+    cubics = np.concatenate([still, *(cubics for _, _, cubics in moving)])
+    starts_s = commands.after(starts_s)  # A rest begins when the servo has come to rest.
+    starts_s = np.concatenate([starts_s, commands.starts_s])
+    ends_s = np.concatenate([ends_s, commands.ends_s])
+    cubics = np.concatenate([cubics, commands.cubics])
+    is_kept = ends_s > starts_s
+    if not is_kept.any():
+        return still_starts_s[:1], still[:1]
+    order = np.argsort(starts_s[is_kept], kind="stable")
+    return starts_s[is_kept][order], cubics[is_kept][order]
+
+
+def commands_of(keys: JointKeys, joint: Joint, end_s: float) -> CarriedOut:
+    """Return what the servo of the joint makes of the moves with the ease `command`."""
+    is_command = keys.are(Interpolation.COMMAND)
+    return carried_out(keys.reached_s, keys.left_s, keys.deg, is_command, joint, end_s)
+
+
+def _slopes(keys: JointKeys, start_slope: float, end_slope: float) -> FloatArray:
+    """Return the slope at each key: 0 at holds, at corners and where the direction turns."""
+    slopes = np.zeros(len(keys.deg))
+    if len(slopes) < 2:
+        return slopes
+    is_flowing = keys.are(*_FLOWING)
+    is_passed = ~keys.is_held[1:-1] & is_flowing[1:] & is_flowing[:-1]
+    slopes[1:-1] = np.where(is_passed, monotone_slopes(keys.lengths_s, keys.secants_deg_s), 0.0)
+    slopes[0], slopes[-1] = start_slope, end_slope
+    is_spline = keys.are(Interpolation.SPLINE)
+    inner = is_spline[1:] & is_spline[:-1] & is_passed
+    for first, last in runs(inner):
+        knots = slice(first, last + 2)
+        slopes[knots] = clamped_slopes(
+            keys.lengths_s[first : last + 1],
+            keys.secants_deg_s[first : last + 1],
+            start=float(slopes[first]),
+            end=float(slopes[last + 1]),
+        )
+    return slopes
+
+
+_Pieces = tuple["FloatArray", "FloatArray", "FloatArray"]
+
+
+def _flowing(keys: JointKeys, slopes: FloatArray, moves: NDArray[np.intp]) -> _Pieces:
+    """Return Hermite cubics between keys."""
+    length_s, secant = keys.lengths_s[moves], keys.secants_deg_s[moves]
+    before, after = slopes[moves], slopes[moves + 1]
+    cubics = hermite(keys.deg[moves], secant, before, after, length_s)
+    return keys.left_s[moves], keys.reached_s[moves + 1], cubics
+
+
+def _linear(keys: JointKeys, moves: NDArray[np.intp]) -> _Pieces:
+    ramps = np.full(len(moves), LINEAR_RAMP_RATIO)
+    return _trapezoids(keys, moves, keys.left_s[moves], ramps)
+
+
+def _late(keys: JointKeys, joint: Joint, moves: NDArray[np.intp]) -> _Pieces:
+    """Return trapezoids at the joint's limits that end at the key.
+
+    Where the time between the keys is too short for one, it fills that time.
+    """
+    distance_deg = np.abs(keys.deg[moves + 1] - keys.deg[moves])
+    needed_s = least_move_s(distance_deg, joint.speed_max_deg_s, joint.accel_max_deg_s2)
+    start_s = np.maximum(keys.reached_s[moves + 1] - needed_s, keys.left_s[moves])
+    start_s = np.asarray(np.round(start_s, PATH_DECIMALS), dtype=np.float64)
+    ramp_s = joint.speed_max_deg_s / joint.accel_max_deg_s2
+    ramps = np.minimum(0.5, ramp_s / np.where(needed_s > 0.0, needed_s, 1.0))
+    waits = np.zeros((len(moves), 4))
+    waits[:, 0] = keys.deg[moves]
+    starts_s, ends_s, cubics = _trapezoids(keys, moves, start_s, ramps)
+    return (
+        np.concatenate([keys.left_s[moves], starts_s]),
+        np.concatenate([start_s, ends_s]),
+        np.concatenate([waits, cubics]),
+    )
+
+
+def _trapezoids(
+    keys: JointKeys, moves: NDArray[np.intp], starts_s: FloatArray, ramps: FloatArray
+) -> _Pieces:
+    """Return rest-to-rest moves that end at the keys; `ramps` is each ramp's share of the move."""
+    ends_s = keys.reached_s[moves + 1]
+    from_deg, to_deg = keys.deg[moves], keys.deg[moves + 1]
+    spent_s = ends_s - starts_s
+    first_s = np.round(starts_s + ramps * spent_s, PATH_DECIMALS)
+    second_s = np.round(ends_s - ramps * spent_s, PATH_DECIMALS)
+    second_s = np.maximum(first_s, second_s)
+    # Computed from the rounded positions, so that the pieces meet exactly.
+    up_s, down_s = first_s - starts_s, ends_s - second_s
+    speed = _ratio(to_deg - from_deg, spent_s - 0.5 * (up_s + down_s))
+    nothing = np.zeros_like(speed)
+    up = np.stack([from_deg, nothing, 0.5 * _ratio(speed, up_s), nothing], axis=1)
+    cruise = np.stack([from_deg + 0.5 * speed * up_s, speed, nothing, nothing], axis=1)
+    slowing = -0.5 * _ratio(speed, down_s)
+    down = np.stack([to_deg - 0.5 * speed * down_s, speed, slowing, nothing], axis=1)
+    return (
+        np.concatenate([starts_s, first_s, second_s]),
+        np.concatenate([first_s, second_s, ends_s]),
+        np.concatenate([up, cruise, down]),
+    )
+
+
+def _ratio(value: FloatArray, by: FloatArray) -> FloatArray:
+    return np.divide(value, by, out=np.zeros_like(value), where=by > 0.0)

@@ -1,0 +1,221 @@
+"""Results of planning compared with the author's times: slowed spans, marks, missed anchors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
+from lss_motion.planning.trajectory.model import Mark, SlowSpan
+from lss_motion.show.splines import runs
+from lss_motion.units import significant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.planning.trajectory.catch_up import Dues
+    from lss_motion.planning.trajectory.keys import Spacing
+    from lss_motion.planning.trajectory.model import PathClock
+    from lss_motion.planning.trajectory.path import Path
+    from lss_motion.planning.trajectory.solver import RateTask, RateWindow
+    from lss_motion.show.model import Keyframe
+    from lss_motion.show.model import Sequence as Show
+
+    FloatArray = NDArray[np.float64]
+
+ANCHOR_TOLERANCE_S: Final = 0.001
+"""An anchor is met to the millisecond: the finest that a command can express."""
+
+STRETCH_MIN_S: Final = 1e-5
+"""Spans slowed by less are not reported: a hundredth of a millisecond."""
+
+
+def slow_spans(
+    task: RateTask,
+    joints: Sequence[str],
+    windows: Sequence[RateWindow],
+    clock: PathClock,
+    authored: Callable[[FloatArray], FloatArray],
+) -> tuple[SlowSpan, ...]:
+    """Return every span in which the path takes longer than authored, in planned time."""
+    found = []
+    for window in windows:
+        authored_s = authored(window.grid_s)
+        spent_s = window.spent_s
+        lost_s = spent_s - np.diff(authored_s)
+        is_slow = lost_s > 1e-6 * spent_s
+        for first, end in runs(is_slow):
+            by_s = float(lost_s[first:end].sum())
+            if by_s < STRETCH_MIN_S:
+                continue
+            cells = slice(first, end)
+            column, limit, needed, allowed = _worst_limit(
+                task, window.grid_s[first : end + 1], spent_s[cells], lost_s[cells]
+            )
+            from_s, to_s = clock.times_of(window.grid_s[[first, end]]).tolist()
+            found.append(
+                SlowSpan(
+                    from_s=from_s,
+                    to_s=to_s,
+                    by_s=by_s,
+                    joint=joints[column],
+                    limit=limit,
+                    authored=needed,
+                    allowed=allowed,
+                )
+            )
+    return tuple(found)
+
+
+def _worst_limit(
+    task: RateTask, grid_s: FloatArray, spent_s: FloatArray, lost_s: FloatArray
+) -> tuple[int, Literal["speed", "acceleration"], float, float]:
+    """Return the joint and limit that are exceeded most: joint, limit, authored and allowed value.
+
+    Speed is proportional to the rate and acceleration to its square; the square root of the
+    acceleration ratio makes both comparable.
+    """
+    path: Path = task.path
+    steps_s = np.diff(grid_s)
+    authored_rates = (steps_s / np.maximum(spent_s - lost_s, 1e-9))[:, None]
+    # Slightly inside of both ends: at a knot the second derivative has two values.
+    at_s = np.concatenate([grid_s[:-1] + share * steps_s for share in (0.001, 0.5, 0.999)])
+    rates = np.tile(authored_rates, (3, 1))
+    first, second = path.slopes(at_s)
+    speeds, accels = np.abs(first) * rates, np.abs(second) * rates**2
+    speed_ratios = (speeds / task.speed_max_deg_s).max(axis=0)
+    accel_ratios = np.sqrt((accels / task.accel_max_deg_s2).max(axis=0))
+    by_speed, by_accel = int(speed_ratios.argmax()), int(accel_ratios.argmax())
+    if speed_ratios[by_speed] >= accel_ratios[by_accel]:
+        needed, allowed = speeds[:, by_speed].max(), task.speed_max_deg_s[by_speed]
+        return by_speed, "speed", float(needed), float(allowed)
+    needed, allowed = accels[:, by_accel].max(), task.accel_max_deg_s2[by_accel]
+    return by_accel, "acceleration", float(needed), float(allowed)
+
+
+def marks(
+    keyframes: Sequence[Keyframe],
+    spacing: Spacing,
+    clock: PathClock,
+    *,
+    is_timed: bool,
+    kept: frozenset[str] = frozenset(),
+    path: Path | None = None,
+) -> tuple[Mark, ...]:
+    """Return the mark of each keyframe: its authored time and when the first pass reaches it.
+
+    Without `path`, the motion is never late and rests as long as the author wants.
+    """
+    planned_s = clock.times_of(spacing.reached_s).tolist()
+    held_s = (clock.times_of(spacing.left_s) - planned_s).tolist()
+    rests = np.zeros((len(planned_s), 2))
+    if path is not None and is_timed:
+        rests[:-1] = _rests(spacing, clock, path)
+    return tuple(
+        Mark(
+            label=keyframe.label,
+            authored_s=keyframe.at_s,
+            planned_s=at_s,
+            is_anchor=keyframe.is_anchor,
+            hold_s=keyframe.hold_s,
+            held_s=kept_s if is_timed else keyframe.hold_s,
+            rest_s=rest_s,
+            rested_s=rested_s,
+            hold_may_shrink=keyframe.hold_may_shrink,
+            kept=tuple(name for name in keyframe.deg if name in kept),
+            is_kept=bool(keyframe.deg) and kept.issuperset(keyframe.deg),
+            is_exact=keyframe.is_exact,
+            weight=keyframe.weight,
+        )
+        for keyframe, at_s, kept_s, (rest_s, rested_s) in zip(
+            keyframes, planned_s, held_s, rests.tolist(), strict=True
+        )
+    )
+
+
+def _rests(spacing: Spacing, clock: PathClock, path: Path) -> FloatArray:
+    """Return how long all joints rest before the next keyframe, (n, 2): authored and planned."""
+    from_s, to_s = spacing.left_s[:-1], spacing.reached_s[1:]
+    resting_s = np.append(0.0, np.cumsum(path.segment_lengths_s * path.rests))
+    at_s = np.interp([from_s, to_s], path.knots_s, resting_s)
+    is_rest = (to_s > from_s) & (at_s[1] - at_s[0] > to_s - from_s - SAME_INSTANT_S)
+    spent_s = [
+        spacing.authored(to_s) - spacing.authored(from_s),
+        clock.times_of(to_s) - clock.times_of(from_s),
+    ]
+    return np.where(is_rest, spent_s, 0.0).T
+
+
+def is_met(dues: Dues, clock: PathClock) -> NDArray[np.bool_]:
+    """Return which anchors are met to the millisecond."""
+    anchors_s = np.asarray(dues.anchors_s)
+    late_s = clock.times_of(anchors_s) - dues.authored(anchors_s)
+    return np.asarray(late_s <= ANCHOR_TOLERANCE_S)
+
+
+def check_anchors(
+    show: Show,
+    spacing: Spacing,
+    clock: PathClock,
+    authored: Callable[[FloatArray], FloatArray],
+    stretched: Sequence[SlowSpan],
+) -> None:
+    """Raise `PlanningError` for the first anchor that is not met, in any pass that `clock` spans.
+
+    In a show with several passes each pass must also end on time, so that later anchors are met.
+    """
+    anchors = [index for index, keyframe in enumerate(show.keyframes) if keyframe.is_anchor]
+    if not anchors:
+        return
+    length_s = spacing.length_s
+    passes = round(float(clock.path_s[-1]) / length_s) if length_s > 0.0 else 1
+    for count in range(passes):
+        at_s = spacing.reached_s[anchors] + count * length_s
+        due_s, planned_s = authored(at_s), clock.times_of(at_s)
+        for index, due, planned in zip(anchors, due_s, planned_s, strict=True):
+            if abs(planned - due) > ANCHOR_TOLERANCE_S:
+                raise _missed(show, index, float(due), float(planned), stretched)
+    late_s = clock.duration_s - float(authored(clock.path_s[-1:])[0])
+    if show.loop != 1 and late_s > ANCHOR_TOLERANCE_S:
+        raise _missed(show, anchors[0], 0.0, late_s, stretched, after=" in the passes after this")
+
+
+def place_of(show: Show, keyframe: Keyframe) -> str:
+    """Return file and line of a keyframe as messages begin; empty where they are not known."""
+    is_unknown = show.path is None or keyframe.line is None
+    return "" if is_unknown else f"{show.path}:{keyframe.line}: "
+
+
+def _missed(
+    show: Show,
+    index: int,
+    due_s: float,
+    planned_s: float,
+    stretched: Sequence[SlowSpan],
+    *,
+    after: str = "",
+) -> PlanningError:
+    keyframe = show.keyframes[index]
+    place = place_of(show, keyframe)
+    name = f" {keyframe.label!r}" if keyframe.label else ""
+    late_s = planned_s - due_s
+    earlier = [stretch for stretch in stretched if stretch.from_s < planned_s] or [*stretched]
+    why, joint = "", None
+    if earlier:
+        worst = max(earlier, key=lambda stretch: stretch.by_s)
+        joint = worst.joint
+        why = (
+            f": joint {worst.joint!r} would need {worst.limit} {significant(worst.authored)} "
+            f"{worst.unit} between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed "
+            f"{worst.allowed:g} {worst.unit}"
+        )
+    return PlanningError(
+        f"{place}anchor{name} at {keyframe.at_s:g} s cannot be met{after}, it would be "
+        f"{late_s:.3f} s late{why}. Give it {late_s:.3f} s more, or a smaller move",
+        joint=joint,
+        time_s=keyframe.at_s,
+    )

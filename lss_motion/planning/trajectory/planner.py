@@ -1,0 +1,281 @@
+"""The entry point: `plan` makes a verified trajectory of a sequence, or loads it from the cache.
+
+The modules that make plans are imported only when a plan is made.
+"""
+
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import Final
+
+import numpy as np
+from msgspec.structs import replace
+
+from lss_motion.errors import InputError
+from lss_motion.planning.trajectory.cues import planned_cues
+from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
+from lss_motion.planning.trajectory.plan_cache import PLANNER_VERSION, cached
+from lss_motion.robot.model import Robot
+from lss_motion.show.keyframes import at_speed
+from lss_motion.show.model import Sequence, Timing
+
+KEY_SLACK_DEG: Final = 1e-6
+"""Rounding error of an angle at its key: far below the finest unit of a servo (0.01 deg)."""
+
+KEPT_SLACK_DEG: Final = 0.11
+"""What a joint that keeps its time may miss a key by without a report, and rounding."""
+
+SPAN_SLACK_S: Final = 0.02
+"""A reported span may begin or end so long after or before its deviation: two cells of a spline."""
+
+
+def plan(sequence: Sequence, robot: Robot) -> Trajectory:
+    """Return the motion of `robot` that comes closest to `sequence` within all limits.
+
+    The result has passed `verify`. Raises `InputError` for a sequence that does not fit this robot,
+    and `PlanningError` where no motion fulfils it: a missed anchor, a duration that is too short,
+    a spline that leaves a joint's range.
+    """
+    _check_limits(robot)
+    trajectory = _planned(at_speed(sequence), robot)
+    return replace(trajectory, on_fault=sequence.on_fault) if sequence.on_fault else trajectory
+
+
+def _check_limits(robot: Robot) -> None:
+    """Raise `InputError` where a limit was not read from the servo, or its turn is unknown."""
+    robot.require_turns(robot.joints.values())
+    for joint in robot.unread:
+        raise InputError(
+            f"joint {joint.name!r}: its robot file leaves {' and '.join(sorted(joint.unread))} to "
+            f"the servo, whose settings are not known. `lss-play` reads them; offline give "
+            f"--robot-cache FILE, written by `lss-motion configure ROBOT --backup FILE`",
+            path=robot.path,
+        )
+
+
+def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of a sequence to which `at_speed` was applied."""
+    bare = replace(sequence, layers=(), events=())
+    trajectory = base = _planned_base(bare, robot)
+    if sequence.layers:
+        from lss_motion.planning.trajectory.layers import layered
+        from lss_motion.planning.trajectory.verify import verify
+
+        if base.loop is None:
+            cues = [*base.cues, *planned_cues(sequence, base)]
+            base = replace(base, cues=tuple(cues))
+            trajectory = layered(base, replace(sequence, events=()), robot, _planned)
+            verify(trajectory, robot, has_parts=False)
+            return trajectory
+        trajectory = layered(base, replace(sequence, events=()), robot, _planned)
+        slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
+        if any(mark.kept for mark in trajectory.marks):
+            slower = 1.0
+        cues = [replace(cue, at_s=slower * cue.at_s) for cue in base.cues]
+        for layer in sequence.layers:
+            own = planned_cues(replace(layer.sequence, path=sequence.path), trajectory)
+            cues += [replace(cue, at_s=layer.from_s + cue.at_s) for cue in own]
+        trajectory = replace(trajectory, cues=tuple(cues))
+    if sequence.events:
+        cues = [*trajectory.cues, *planned_cues(sequence, trajectory)]
+        trajectory = replace(trajectory, cues=tuple(cues))
+    return trajectory
+
+
+def _planned_base(sequence: Sequence, robot: Robot) -> Trajectory:
+    if not sequence.play and not sequence.tracks:
+        return _planned_track(sequence, robot)
+    from lss_motion.planning.trajectory.verify import verify
+
+    if sequence.play:
+        from lss_motion.planning.trajectory.playlist import planned_play_list
+
+        trajectory = planned_play_list(sequence, robot, _planned)
+    else:
+        if sequence.loop != 1 and not sequence.keyframes:
+            raise InputError(
+                "there is nothing to loop outside of the tracks; give each track its own loop",
+                path=sequence.path,
+            )
+        from lss_motion.planning.trajectory.tracks import planned_tracks
+
+        own = [replace(sequence, tracks=())] if sequence.keyframes else []
+        trajectory = planned_tracks(sequence, [*own, *sequence.tracks], robot, _planned_track)
+    verify(trajectory, robot, has_parts=False)  # The parts have passed it already.
+    return trajectory
+
+
+def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
+    if track.tracks or track.layers or track.play:
+        raise InputError("a track holds keyframes and nothing else", path=track.path)
+    if track.loop_span_s is not None:
+        from lss_motion.planning.trajectory.verify import verify
+
+        trajectory = with_looped_span(track, _planned_joints(replace(track, loop=1), robot))
+        verify(trajectory, robot, has_parts=False)
+        return trajectory
+    return _planned_joints(track, robot)
+
+
+def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of joints that keep their time beside that of the others."""
+    keyed = {name for frame in track.keyframes for name in frame.deg}
+    if not (kept := keyed & track.keeps_time):
+        return _planned_angles(replace(track, keeps_time=frozenset(), loop_span_s=None), robot)
+    if kept == keyed:
+        return _time_kept(replace(track, keeps_time=frozenset(kept)), robot)
+    from lss_motion.planning.trajectory.keep_time import beside, is_even, part_of
+    from lss_motion.planning.trajectory.verify import verify
+
+    slow = _planned_joints(part_of(track, keyed - kept), robot)
+    may_flow = is_even(slow, track)
+    own = _time_kept(part_of(track, kept), robot, may_flow=may_flow)
+    are_kept = [bool(frame.deg) and kept.issuperset(frame.deg) for frame in track.keyframes]
+    trajectory = beside(slow, own, robot, are_kept)
+    verify(trajectory, robot, has_parts=False)
+    return trajectory
+
+
+def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Trajectory:
+    """Return the plan of keyframes whose joints all keep their time, made or from the cache."""
+    _check_length(track)
+
+    def make() -> Trajectory:
+        from lss_motion.planning.trajectory.keep_time import time_kept
+
+        return time_kept(track, robot, may_flow=may_flow)
+
+    name = cache_name(track, robot, may_flow=may_flow)
+    return _placed(cached(name, make, lambda plan: _fits(plan, track, robot), robot), track)
+
+
+def _planned_angles(track: Sequence, robot: Robot) -> Trajectory:
+    ratio = track.speed_ratio
+    trajectory = _keyframes(replace(track, speed_ratio=1.0), robot)
+    if track.timing is Timing.FASTEST and ratio < 1.0:
+        from lss_motion.planning.trajectory.retime import at_ratio
+
+        return at_ratio(trajectory, ratio)
+    return trajectory
+
+
+def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of the keyframes alone, made or from the cache."""
+    _check_length(track)
+
+    def make() -> Trajectory:
+        from lss_motion.planning.trajectory.smoothing import smooth_track
+
+        return smooth_track(track, robot)
+
+    name = cache_name(track, robot)
+    return _placed(cached(name, make, lambda plan: _fits(plan, track, robot), robot), track)
+
+
+def _placed(trajectory: Trajectory, track: Sequence) -> Trajectory:
+    """Return the plan with the lines of its keyframes, which a stored plan does not know."""
+    if track.path is None:
+        return trajectory
+    marks = tuple(
+        replace(mark, place="" if frame.line is None else f"{track.path.name}:{frame.line}")
+        for mark, frame in zip(trajectory.marks, track.keyframes, strict=True)
+    )
+    return replace(trajectory, marks=marks)
+
+
+def _check_length(track: Sequence) -> None:
+    """Raise `InputError` for keyframes over a time that cannot be verified, before any work."""
+    joints = len({name for keyframe in track.keyframes for name in keyframe.deg})
+    if not track.keyframes or not math.isfinite(track.keyframes[-1].at_s or 0.0):
+        return  # `keys_by_joint` reports that.
+    last = track.keyframes[-1]
+    most_s = JOINT_SECONDS_MAX / max(1, joints)
+    if (last.at_s or 0.0) + last.hold_s > most_s:
+        raise InputError(
+            f"the keyframes end at {(last.at_s or 0.0) + last.hold_s:,.0f} s; with {joints} joints "
+            f"at most {most_s:,.0f} s can be planned at once: repeat shorter ones with `loop`",
+            path=track.path,
+            line=last.line,
+        )
+
+
+def _fits(trajectory: Trajectory, track: Sequence, robot: Robot) -> bool:
+    """Return whether a stored plan moves the joints of the track through all of its keyframes."""
+    keyframes = track.keyframes
+    keyed = {name for keyframe in keyframes for name in keyframe.deg}
+    if (trajectory.name, trajectory.joints, trajectory.loop, len(trajectory.marks)) != (
+        track.name,
+        tuple(name for name in robot.joints if name in keyed),
+        track.loop,
+        len(keyframes),
+    ):
+        return False
+    angles_deg = trajectory.sample(np.array([mark.planned_s for mark in trajectory.marks]))
+    column = {name: index for index, name in enumerate(trajectory.joints)}
+    slack_deg = KEPT_SLACK_DEG if track.keeps_time else KEY_SLACK_DEG
+    slack_deg += max((own.key_error_deg for own in trajectory.smoothing), default=0.0)
+    return all(
+        abs(row[column[name]] - angle_deg) <= slack_deg
+        or _gives_up(trajectory, name, mark.planned_s)
+        for row, keyframe, mark in zip(
+            angles_deg.tolist(), keyframes, trajectory.marks, strict=True
+        )
+        for name, angle_deg in keyframe.deg.items()
+    )
+
+
+def _gives_up(trajectory: Trajectory, name: str, at_s: float) -> bool:
+    """Return whether the plan reports that a joint gives up angle at that instant."""
+    return any(
+        span.joint == name and span.from_s - SPAN_SLACK_S <= at_s <= span.to_s + SPAN_SLACK_S
+        for span in trajectory.given_up
+    )
+
+
+def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> str:
+    """Return the name of an entry: a hash of keys, times and limits."""
+    digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
+    digest.update(
+        repr(
+            (
+                sequence.name,
+                str(sequence.timing),
+                sequence.fit_duration_s,
+                sequence.loop,
+                sorted(sequence.keeps_time),
+                sequence.loop_span_s,
+                may_flow,
+                sequence.smooth_s,
+                [
+                    (
+                        joint.name,
+                        joint.position_min_deg,
+                        joint.position_max_deg,
+                        joint.speed_max_deg_s,
+                        joint.accel_max_deg_s2,
+                        joint.jerk_max_deg_s3,
+                    )
+                    for joint in robot.joints.values()
+                ],
+            )
+        ).encode()
+    )
+    for frame in sequence.keyframes:
+        digest.update(
+            repr(
+                (
+                    frame.at_s,
+                    frame.hold_s,
+                    frame.hold_may_shrink,
+                    frame.is_anchor,
+                    frame.is_exact,
+                    frame.weight,
+                    str(frame.ease),
+                    frame.label,
+                    [(name, float(angle_deg)) for name, angle_deg in frame.deg.items()],
+                )
+            ).encode()
+        )
+    return digest.hexdigest()

@@ -1,0 +1,236 @@
+"""Play lists: sequences one after the other, and the moves from where one ends to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from lss_motion.errors import InputError
+from lss_motion.planning.trajectory.cues import all_cues, all_marks, all_waits
+from lss_motion.planning.trajectory.model import Trajectory, WaitPoint
+from lss_motion.show.check import loop_problem
+from lss_motion.show.model import Keyframe, Sequence
+from lss_motion.show.splines import distinct
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.show.model import Step, Wait
+
+    FloatArray = NDArray[np.float64]
+
+
+SAME_DEG: Final = 1e-9
+"""Angles closer than this need no move."""
+
+WAIT_SETTLE_S: Final = 0.05
+"""Rest before a wait begins, because the horns lag behind the plan."""
+
+WAIT_LEAD_S: Final = 0.25
+"""Rest after a wait, because moves are sent before they start. Chosen: as long as the lead at the
+beginning of a show."""
+
+PEAK_RATIO: Final = 1.5
+"""Peak speed of a smooth move from rest to rest, divided by its mean speed."""
+
+
+class PlayListPass(Struct, frozen=True, kw_only=True):
+    """A pass in which trajectories follow one another, each from rest to rest.
+
+    `parts[k]` starts at `starts_s[k]`, where the joints are at `poses_deg[k]`; a joint that it
+    does not move stays there.
+    """
+
+    joints: tuple[str, ...]
+    parts: tuple[Trajectory, ...]
+    starts_s: FloatArray
+    poses_deg: FloatArray
+    duration_s: float
+
+    @property
+    def seams_s(self) -> FloatArray:
+        return self.starts_s
+
+    @property
+    def knots_s(self) -> FloatArray:
+        found = [
+            start_s + part.knots_until(part.duration_s)
+            for start_s, part in zip(self.starts_s.tolist(), self.parts, strict=True)
+        ]
+        return distinct(np.concatenate([[0.0], *found, [self.duration_s]]))
+
+    def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
+        times_s = np.asarray(times_s, dtype=np.float64)
+        inside_s = np.clip(times_s, 0.0, self.duration_s)
+        chosen = np.clip(np.searchsorted(self.starts_s, inside_s, side="right") - 1, 0, None)
+        values = (
+            self.poses_deg[chosen] if order == 0 else np.zeros((len(times_s), len(self.joints)))
+        )
+        for index in distinct(chosen).tolist():
+            part, rows = self.parts[index], np.flatnonzero(chosen == index)
+            columns = np.array([self.joints.index(name) for name in part.joints], dtype=np.intp)
+            local_s = inside_s[rows] - self.starts_s[index]
+            values[np.ix_(rows, columns)] = part.sample(local_s, order)
+        if order > 0:
+            values[(times_s < 0.0) | (times_s > self.duration_s)] = 0.0
+        return values
+
+
+@dataclass(slots=True)
+class _StepCollector:
+    """Collects the parts of a play list, and the angle of every joint after them."""
+
+    robot: Robot
+    plan: Callable[[Sequence, Robot], Trajectory]
+    pose_deg: dict[str, float]
+    parts: list[tuple[float, Trajectory, dict[str, float]]]
+    waits: list[WaitPoint]
+    now_s: float = 0.0
+
+    def append(self, part: Trajectory) -> None:
+        self.parts.append((self.now_s, part, dict(self.pose_deg)))
+        waits = all_waits(part, part.duration_s)
+        self.waits += [replace(point, at_s=point.at_s + self.now_s) for point in waits]
+        end_deg = part.sample(np.array([part.duration_s]))[0].tolist()
+        self.pose_deg |= zip(part.joints, end_deg, strict=True)
+        self.now_s += part.duration_s
+
+    def pause(self, pause_s: float) -> None:
+        """Append a rest."""
+        self.now_s += pause_s
+
+    def wait(self, wait: Wait) -> None:
+        """Append a rest with a wait in it."""
+        self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
+        self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
+
+    def idle(self, wait: Wait, part: Trajectory, smooth_s: float) -> None:
+        """Append a wait during which `part` is played again and again, from where it begins."""
+        begins_s = self.now_s + WAIT_SETTLE_S
+        self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
+        self.append(part)
+        self.move_to(_start(part), None, smooth_s)
+        at_s = self.now_s + WAIT_SETTLE_S
+        self.waits.append(WaitPoint(at_s=at_s, wait=wait, back_s=at_s - begins_s))
+        self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
+
+    def move_to(
+        self, target_deg: Mapping[str, float], move_s: float | None, smooth_s: float = 0.0
+    ) -> None:
+        """Append the move to the angles, in `move_s` or at the approach speed; none if there."""
+        ways = {
+            name: (self.pose_deg[name], angle_deg)
+            for name, angle_deg in target_deg.items()
+            if name in self.pose_deg and abs(self.pose_deg[name] - angle_deg) > SAME_DEG
+        }
+        if not ways:
+            return
+        longest_deg = max(abs(to_deg - from_deg) for from_deg, to_deg in ways.values())
+        if move_s is None:
+            move_s = PEAK_RATIO * longest_deg / self.robot.approach_speed_deg_s
+        frames = (
+            Keyframe(deg={name: way[0] for name, way in ways.items()}, at_s=0.0),
+            Keyframe(deg={name: way[1] for name, way in ways.items()}, at_s=move_s, label="move"),
+        )
+        move = Sequence(name="move", keyframes=frames, smooth_s=smooth_s)
+        self.append(self.plan(move, self.robot))
+
+
+def planned_play_list(
+    show: Sequence, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
+) -> Trajectory:
+    """Return the steps of a play list, one after the other, as often as the list is looped.
+
+    Every step begins and ends at rest. Where a joint is not at the start of a step, a move to it
+    comes first, in the step's `move_s`, else at the robot's approach speed.
+    """
+    planned = [(step, *_planned(step, robot, plan)) for step in show.play]
+    start_deg: dict[str, float] = {}
+    for _, part, _ in planned:
+        start_deg = {**(_start(part) if part else {}), **start_deg}
+    steps = _StepCollector(robot, plan, dict(start_deg), [], [])
+    for step, part, times in planned:
+        steps.pause(step.pause_s)
+        if step.wait is not None and part is not None:
+            smooth_s = 0.0 if step.sequence is None else step.sequence.smooth_s
+            steps.move_to(_start(part), step.move_s, smooth_s)
+            steps.idle(step.wait, part, smooth_s)
+            continue
+        if step.wait is not None:
+            steps.wait(step.wait)
+        for _ in range(times):
+            if part is not None:
+                smooth_s = 0.0 if step.sequence is None else step.sequence.smooth_s
+                steps.move_to(_start(part), step.move_s, smooth_s)
+                steps.append(part)
+    if show.loop != 1:
+        steps.move_to(start_deg, None)
+    return _trajectory(show, steps, robot)
+
+
+def _planned(
+    step: Step, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
+) -> tuple[Trajectory | None, int]:
+    """Return the plan of a step and how often it is played."""
+    sequence = step.sequence
+    if sequence is None:
+        return None, 1
+    is_plain = bool(sequence.keyframes) and not sequence.tracks and not sequence.layers
+    is_plain = is_plain and sequence.loop_span_s is None
+    may_flow = step.times > 1 and is_plain and not loop_problem(sequence.keyframes)
+    if may_flow and sequence.loop is not None:
+        # It ends where it begins: planned as a loop, it goes on without a stop.
+        return plan(replace(sequence, loop=sequence.loop * step.times), robot), 1
+    return plan(sequence, robot), step.times
+
+
+def _start(part: Trajectory) -> dict[str, float]:
+    return dict(zip(part.joints, part.sample(np.zeros(1))[0].tolist(), strict=True))
+
+
+def _trajectory(show: Sequence, steps: _StepCollector, robot: Robot) -> Trajectory:
+    joints = tuple(name for name in robot.joints if name in steps.pose_deg)
+    parts = steps.parts
+    if not parts:
+        raise InputError("the play list moves no joint", path=show.path)
+    whole = PlayListPass(
+        joints=joints,
+        parts=tuple(part for _, part, _ in parts),
+        starts_s=np.array([start_s for start_s, _, _ in parts]),
+        poses_deg=np.array([[pose_deg[name] for name in joints] for _, _, pose_deg in parts]),
+        duration_s=steps.now_s,
+    )
+    return Trajectory(
+        name=show.name,
+        joints=joints,
+        first=whole,
+        middle=whole,
+        last=whole,
+        loop=show.loop,
+        stretched=tuple(
+            replace(stretch, from_s=stretch.from_s + start_s, to_s=stretch.to_s + start_s)
+            for start_s, part, _ in parts
+            for stretch in part.stretched
+        ),
+        given_up=tuple(span.later(start_s) for start_s, part, _ in parts for span in part.given_up),
+        asked=tuple(span.later(start_s) for start_s, part, _ in parts for span in part.asked),
+        commands=tuple(move.later(start_s) for start_s, part, _ in parts for move in part.commands),
+        marks=tuple(
+            mark.later(start_s)
+            for start_s, part, _ in parts
+            for mark in all_marks(part, part.duration_s)
+        ),
+        waits=tuple(steps.waits),
+        cues=tuple(
+            replace(cue, at_s=cue.at_s + start_s)
+            for start_s, part, _ in parts
+            for cue in all_cues(part, part.duration_s)
+        ),
+    )

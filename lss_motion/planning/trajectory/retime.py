@@ -1,0 +1,519 @@
+"""How fast a path is followed: the layout of a sequence, and the clock that follows its path.
+
+A path whose position is the authored time is followed at rate 1 wherever that breaks no limit. Only
+windows around the segments where it does are given to the solver. They are widened until rate 1 is
+reached at both of their ends, so that the result is that of solving the whole path.
+
+`Layout` holds the paths of all passes that differ. `authored_clock` and `stopping_clock` turn rates
+into a clock. `slowed_to`, `scaled` and `least_fit_s` serve durations that the author gives.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from lss_motion.errors import InputError, PlanningError
+from lss_motion.planning.trajectory.catch_up import Dues, made_up
+from lss_motion.planning.trajectory.curves import (
+    JointKeys,
+    build_path,
+    joint_keys,
+    seam_slope_deg_s,
+    with_longer_rests,
+)
+from lss_motion.planning.trajectory.keys import (
+    NO_MARGINS,
+    SAME_INSTANT_S,
+    Margins,
+    Spacing,
+    authored_spacing,
+    is_timed,
+    keys_by_joint,
+    spacing_of,
+)
+from lss_motion.planning.trajectory.model import PathClock, PathMotion, Trajectory, motions_of
+from lss_motion.planning.trajectory.path import Path, concatenate, peaks
+from lss_motion.planning.trajectory.solver import (
+    FEASIBLE_RATIO,
+    RATE_FREE,
+    RateTask,
+    slow_outline,
+    solve,
+)
+from lss_motion.show.splines import distinct, runs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.planning.trajectory.solver import RateWindow
+    from lss_motion.robot.model import Robot
+    from lss_motion.show.model import Sequence as Show
+
+    FloatArray = NDArray[np.float64]
+
+
+WINDOW_MIN_S: Final = 0.2
+"""Least growth of a window. Chosen: braking from rate 1 takes a few tenths of a second."""
+
+REST_RATIO: Final = 1e-9
+"""A path is at rest where its slopes are below this share of the speed limits: rounding."""
+
+FIT_TOLERANCE_S: Final = 0.001
+"""A fitted pass is as long as requested, to the millisecond."""
+
+FIT_STEPS: Final = 24
+"""Bisections to find the least feasible duration: a ratio of 1e-7."""
+
+
+class Layout(Struct, frozen=True, kw_only=True):
+    """A checked sequence and the paths of its passes: one, or the two or three that differ."""
+
+    sequence: Show
+    robot: Robot
+    keys: Mapping[str, JointKeys]
+    spacing: Spacing
+    paths: tuple[Path, ...]
+    is_timed: bool
+    margins: Margins = NO_MARGINS
+
+    def authored(self, path_s: FloatArray) -> FloatArray:
+        """Return the authored time of positions along all passes."""
+        length_s = self.spacing.length_s
+        if len(self.paths) == 1 or length_s == 0.0:
+            return self.spacing.authored(path_s)
+        passes = np.clip(np.floor(path_s / length_s), 0, len(self.paths) - 1)
+        period_s = float(self.spacing.authored_s[-1])
+        return passes * period_s + self.spacing.authored(path_s - passes * length_s)
+
+    def seams(self) -> tuple[int, ...]:
+        """Return the knots of the joined path where one pass ends and the next starts."""
+        counts = np.cumsum([len(path.knots_s) - 1 for path in self.paths])
+        return tuple(counts[:-1].tolist())
+
+    def dues(self) -> Dues:
+        """Return what the author wants along all passes."""
+        frames, spacing = self.sequence.keyframes, self.spacing
+        starts_s = spacing.length_s * np.arange(len(self.paths))
+        keep = np.array([frame.hold_s > 0.0 and not frame.hold_may_shrink for frame in frames])
+        own = np.stack([spacing.reached_s, spacing.left_s], axis=1)[keep]
+        own = np.concatenate([own, *self._longer_rests_s()])
+        is_anchor = np.array([frame.is_anchor for frame in frames])
+        anchors_s = (starts_s[:, None] + spacing.reached_s[is_anchor]).ravel()
+        if is_anchor.any() and self.sequence.loop != 1:
+            # Anchors of the next pass can be met only if this one ends on time.
+            anchors_s = np.append(anchors_s, starts_s + spacing.length_s)
+        return Dues(
+            authored=self.authored,
+            held=united((starts_s[:, None, None] + own).reshape(-1, 2)),
+            anchors_s=tuple(distinct(anchors_s).tolist()),
+            seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),
+        )
+
+    def _longer_rests_s(self) -> list[FloatArray]:
+        """Return what each joint rests more than the author wants: that must not be shortened."""
+        found = []
+        for name, half_s in self.margins.half_s.items():
+            own = self.keys[name]
+            more = with_longer_rests(own, half_s)
+            found.append(np.stack([own.left_s, more.left_s], axis=1))
+            found.append(np.stack([more.reached_s, own.reached_s], axis=1))
+        return found
+
+    def task(self, caps: Mapping[int, float]) -> RateTask:
+        joints = [self.robot.joints[name] for name in self.keys]
+        return RateTask(
+            path=concatenate(self.paths),
+            speed_max_deg_s=np.array([joint.speed_max_deg_s for joint in joints]),
+            accel_max_deg_s2=np.array([joint.accel_max_deg_s2 for joint in joints]),
+            rate_max=1.0 if self.is_timed else RATE_FREE,
+            knot_caps=caps,
+        )
+
+
+def laid_out(
+    sequence: Show,
+    robot: Robot,
+    margins: Margins = NO_MARGINS,
+    *,
+    may_flow: bool = True,
+    keeps_time: bool = False,
+) -> Layout:
+    """Return the layout of a sequence; `may_flow` False lets every pass end at rest.
+
+    `keeps_time`: path positions are the authored times, also where keys are too close together.
+    """
+    checked = keys_by_joint(sequence, robot)
+    if not checked:
+        raise InputError("the sequence moves no joint", path=sequence.path)
+    if margins is not NO_MARGINS:
+        checked = {name: margins.applied(name, own) for name, own in checked.items()}
+    spacing = (
+        authored_spacing(sequence) if keeps_time else spacing_of(sequence, checked, robot, margins)
+    )
+    keys = {name: joint_keys(own, spacing) for name, own in checked.items()}
+    length_s = spacing.length_s
+    slopes: dict[str, float] = {}
+    if sequence.loop != 1 and may_flow:
+        slopes = {name: seam_slope_deg_s(own, length_s) for name, own in keys.items()}
+
+    def path(*, is_first: bool, is_last: bool) -> Path:
+        rested = {
+            name: with_longer_rests(
+                own,
+                margins.half_s.get(name, 0.0),
+                is_from_rest=is_first or not slopes.get(name),
+                is_to_rest=is_last or not slopes.get(name),
+            )
+            for name, own in keys.items()
+        }
+        return build_path(
+            rested,
+            robot,
+            length_s,
+            start_slopes={} if is_first else slopes,
+            end_slopes={} if is_last else slopes,
+        )
+
+    if not any(slopes.values()):
+        paths: tuple[Path, ...] = (path(is_first=True, is_last=True),)
+    else:
+        first, last = path(is_first=True, is_last=False), path(is_first=False, is_last=True)
+        if sequence.loop == 2:
+            paths = (first, last)
+        else:
+            paths = (first, path(is_first=False, is_last=False), last)
+    return Layout(
+        sequence=sequence,
+        robot=robot,
+        keys=keys,
+        spacing=spacing,
+        paths=paths,
+        is_timed=is_timed(sequence),
+        margins=margins,
+    )
+
+
+def united(spans: FloatArray) -> FloatArray:
+    """Return spans, (n, 2), in order, with those that overlap or touch made one."""
+    found: list[list[float]] = []
+    for from_s, to_s in sorted(spans.tolist()):
+        if found and from_s <= found[-1][1]:
+            found[-1][1] = max(found[-1][1], to_s)
+        elif to_s > from_s:
+            found.append([from_s, to_s])
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def segments_over_limits(task: RateTask) -> NDArray[np.bool_]:
+    """Return which segments exceed a limit at rate 1."""
+    speed, accel = peaks(task.path)
+    is_fast = np.any(speed > task.speed_max_deg_s * FEASIBLE_RATIO, axis=1)
+    return np.asarray(is_fast | np.any(accel > task.accel_max_deg_s2 * FEASIBLE_RATIO, axis=1))
+
+
+def stops(task: RateTask) -> NDArray[np.bool_]:
+    """Return for each knot whether no joint moves there, so that the rate may jump."""
+    path = task.path
+    segments = np.arange(len(path.knots_s) - 1)
+    still = REST_RATIO * task.speed_max_deg_s
+    starts, ends = (
+        np.all(np.abs(path.slopes(at_s, segments)[0]) <= still, axis=1)
+        for at_s in (path.knots_s[:-1], path.knots_s[1:])
+    )
+    is_stop: NDArray[np.bool_] = np.append(starts, True) & np.append(True, ends)
+    return is_stop
+
+
+def timed_windows(task: RateTask, dues: Dues) -> list[RateWindow]:
+    """Return the windows in which the rate is not 1: slow where limits bind, fast while late."""
+    is_stop = stops(task)
+    outlines = slowed_windows(task, is_stop, is_outline=not dues.seams_s)
+    found = made_up(task, outlines, task.path.knots_s[is_stop], dues)
+    return slowed_windows(task, is_stop, is_outline=False) if found is None else found
+
+
+def slowed_windows(
+    task: RateTask, is_stop: NDArray[np.bool_], *, is_outline: bool
+) -> list[RateWindow]:
+    """Return the windows in which the rate is below 1, in order; none if the path is legal.
+
+    `is_outline`: on the coarse grid alone, as `catch_up.made_up` needs them.
+    """
+    solver = slow_outline if is_outline else solve
+    path = task.path
+    is_active = segments_over_limits(task)
+    for knot, cap in task.knot_caps.items():
+        if cap < 1.0:
+            is_active[knot - 1 : knot + 1] = True
+    solved: dict[tuple[int, int], RateWindow] = {}
+    for run in _spans(is_active, is_stop):
+        for step in (-1, +1):
+            _widen(is_active, is_stop, path, run, step)
+    while pending := [run for run in _spans(is_active, is_stop) if run not in solved]:
+        for first, end in pending:
+            window = solver(task, float(path.knots_s[first]), float(path.knots_s[end]))
+            solved[first, end] = window
+            if window.squares[0] < 1.0:
+                _widen(is_active, is_stop, path, (first, end), -1)
+            if window.squares[-1] < 1.0:
+                _widen(is_active, is_stop, path, (first, end), +1)
+    return [solved[run] for run in _spans(is_active, is_stop)]
+
+
+def _spans(is_active: NDArray[np.bool_], is_stop: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the runs of active segments, cut where no joint moves."""
+    is_cut = is_stop[1:-1] & is_active[1:] & is_active[:-1]
+    cuts = 1 + np.flatnonzero(is_cut)
+    found = runs(is_active)
+    bounds = distinct(np.concatenate([np.array(found, dtype=np.intp).ravel(), cuts])).tolist()
+    return [(low, high) for low, high in itertools.pairwise(bounds) if is_active[low]]
+
+
+def _widen(
+    is_active: NDArray[np.bool_],
+    is_stop: NDArray[np.bool_],
+    path: Path,
+    run: tuple[int, int],
+    step: int,
+) -> None:
+    """Activate segments before (`step` -1) or after a run, up to the next stop or active one.
+
+    The run grows by `WINDOW_MIN_S` or half of its length, whichever is more. Where it meets another
+    run, both become one. At a stop the rate may jump instead.
+    """
+    first, end = run
+    wanted_s = max(WINDOW_MIN_S, 0.5 * float(path.knots_s[end] - path.knots_s[first]))
+    segment = first - 1 if step < 0 else end
+    while wanted_s > 0.0 and 0 <= segment < len(is_active):
+        if is_stop[segment + 1 if step < 0 else segment] or is_active[segment]:
+            return
+        wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
+        is_active[segment] = True
+        segment += step
+
+
+class _Pieces:
+    """Collects the pieces of a clock in order."""
+
+    def __init__(self) -> None:
+        self.path_s: list[FloatArray] = []
+        self.spent_s: list[FloatArray] = []
+        self.rates: list[FloatArray] = []
+        self.slopes: list[FloatArray] = []
+        self.now_s = 0.0
+
+    def follow(self, window: RateWindow) -> None:
+        rates = np.sqrt(window.squares[:-1])
+        slopes = np.diff(window.squares) / (2.0 * np.diff(window.grid_s))
+        self._add(window.grid_s[:-1], window.spent_s, rates, slopes)
+
+    def go(self, from_s: float, to_s: float, spent_s: float) -> None:
+        """Follow the path at a constant rate, for `spent_s`."""
+        rate = (to_s - from_s) / spent_s if spent_s > 0.0 else 0.0
+        self._add(np.array([from_s]), np.array([spent_s]), np.array([rate]), np.zeros(1))
+
+    def _add(
+        self, path_s: FloatArray, spent_s: FloatArray, rates: FloatArray, slopes: FloatArray
+    ) -> None:
+        self.path_s.append(path_s)
+        self.spent_s.append(spent_s)
+        self.rates.append(rates)
+        self.slopes.append(slopes)
+        self.now_s += float(spent_s.sum())
+
+    def clock(self, end_s: float) -> PathClock:
+        if not self.spent_s:
+            self.go(end_s, end_s, 0.0)
+        spent_s = np.concatenate(self.spent_s)
+        return PathClock(
+            times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
+            path_s=np.append(np.concatenate(self.path_s), end_s),
+            rates=np.concatenate(self.rates),
+            rate_slopes=np.concatenate(self.slopes),
+        )
+
+
+def authored_clock(
+    path: Path, windows: Sequence[RateWindow], seams: Sequence[int], dues: Dues
+) -> PathClock:
+    """Return the clock with rate 1 outside of `windows`, with a piece boundary at all `seams`.
+
+    A rest is shortened by as much as the motion is late in its pass, except where it is held.
+    """
+    is_rest = path.rests
+    changes = 1 + np.flatnonzero(np.diff(is_rest))
+    knots = distinct(
+        np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(is_rest)]])
+    )
+    edges_s = path.knots_s[knots]
+    is_resting = np.append(is_rest, False)[knots]
+    seams_s = set(path.knots_s[list(seams)].tolist())
+    following = {window.from_s: window for window in windows}
+    if windows:
+        ends_s = np.array([[window.from_s, window.to_s] for window in windows]).ravel()
+        bounds_s = np.union1d(edges_s, ends_s)
+        is_resting = is_resting[np.searchsorted(edges_s, bounds_s, side="right") - 1]
+        edges_s = bounds_s
+    pieces = _Pieces()
+    pass_start_s = reached_s = 0.0
+    for (from_s, to_s), rests in zip(
+        itertools.pairwise(edges_s.tolist()), is_resting.tolist(), strict=False
+    ):
+        if from_s < reached_s:
+            continue
+        if from_s in seams_s:
+            pass_start_s = pieces.now_s - float(dues.authored(np.array([from_s]))[0])
+        if window := following.get(from_s):
+            pieces.follow(window)
+            reached_s = window.to_s
+        elif rests:
+            _rest(pieces, (from_s, to_s), dues, pass_start_s)
+        else:
+            pieces.go(from_s, to_s, to_s - from_s)
+    return pieces.clock(float(path.knots_s[-1]))
+
+
+def _rest(pieces: _Pieces, rest: tuple[float, float], dues: Dues, pass_start_s: float) -> None:
+    """Rest until the motion is no longer late, at least as long as it is held."""
+    cuts_s = np.array(rest)
+    if pieces.now_s - (float(dues.authored(cuts_s[:1])[0]) + pass_start_s) > SAME_INSTANT_S:
+        inner_s = dues.held[(dues.held > rest[0]) & (dues.held < rest[1])]
+        cuts_s = distinct(np.concatenate([cuts_s, inner_s]))
+    due_s = (dues.authored(cuts_s) + pass_start_s).tolist()
+    for part, (from_s, to_s) in enumerate(itertools.pairwise(cuts_s.tolist())):
+        spent_s = to_s - from_s
+        is_late = pieces.now_s - due_s[part] > SAME_INSTANT_S
+        if is_late and not dues.is_held(from_s, to_s):
+            spent_s = max(0.0, due_s[part + 1] - pieces.now_s)
+        pieces.go(from_s, to_s, spent_s)
+
+
+def stopping_clock(
+    windows: Sequence[RateWindow], pauses_s: Mapping[float, float], end_s: float
+) -> PathClock:
+    """Return the clock that follows `windows` and stops at the path positions in `pauses_s`."""
+    pieces = _Pieces()
+    for window in windows:
+        _pause(pieces, float(window.grid_s[0]), pauses_s)
+        pieces.follow(window)
+    _pause(pieces, end_s, pauses_s)
+    return pieces.clock(end_s)
+
+
+def _pause(pieces: _Pieces, at_s: float, pauses_s: Mapping[float, float]) -> None:
+    if (pause_s := pauses_s.get(at_s, 0.0)) > 0.0:
+        pieces.go(at_s, at_s, pause_s)
+
+
+def slowed_clock(clock: PathClock, ratio: float) -> PathClock:
+    """Return the clock with all motion slowed by `ratio`; pauses keep their length."""
+    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
+    spent_s = np.diff(clock.times_s) * np.where(is_pause, 1.0, ratio)
+    return PathClock(
+        times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
+        path_s=clock.path_s,
+        rates=clock.rates / ratio,
+        rate_slopes=clock.rate_slopes / ratio**2,
+    )
+
+
+def pause_s(clock: PathClock) -> float:
+    """Return the sum of the times in which the clock stands still."""
+    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
+    return float(np.diff(clock.times_s)[is_pause].sum())
+
+
+def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
+    """Return a fastest trajectory, slowed so that one pass takes `wanted_s`; not its holds."""
+    motions = motions_of(trajectory)
+    clock = motions[1].clock
+    paused_s = pause_s(clock)
+    moving_s = clock.duration_s - paused_s
+    if clock.duration_s > wanted_s + FIT_TOLERANCE_S:
+        raise PlanningError(
+            f"one pass cannot be done in {wanted_s:g} s: the fastest takes "
+            f"{clock.duration_s:.3f} s, of which {paused_s:g} s are holds"
+        )
+    if moving_s <= 0.0:
+        raise PlanningError(
+            f"nothing moves, so that {wanted_s:g} s cannot be filled; give a hold of that length"
+        )
+    ratio = max(1.0, (wanted_s - paused_s) / moving_s)
+    return _reclocked(trajectory, lambda clock: slowed_clock(clock, ratio))
+
+
+def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
+    """Return a fastest trajectory slowed to `ratio` of its speed, pauses included."""
+    return _reclocked(
+        trajectory,
+        lambda clock: PathClock(
+            times_s=clock.times_s / ratio,
+            path_s=clock.path_s,
+            rates=clock.rates * ratio,
+            rate_slopes=clock.rate_slopes * ratio**2,
+        ),
+    )
+
+
+def _reclocked(trajectory: Trajectory, change: Callable[[PathClock], PathClock]) -> Trajectory:
+    """Return the trajectory with changed clocks on the same paths; equal passes stay one object."""
+    motions = motions_of(trajectory)
+    changed = {id(m): PathMotion(path=m.path, clock=change(m.clock)) for m in motions}
+    first, middle, last = (changed[id(motion)] for motion in motions)
+    reached_s = [mark.planned_s for mark in trajectory.marks]
+    moved_s = np.interp(reached_s, motions[0].clock.times_s, first.clock.times_s).tolist()
+    return replace(
+        trajectory,
+        first=first,
+        middle=middle,
+        last=last,
+        marks=tuple(
+            replace(mark, planned_s=at_s)
+            for mark, at_s in zip(trajectory.marks, moved_s, strict=True)
+        ),
+    )
+
+
+def scaled(sequence: Show, wanted_s: float) -> Show:
+    """Return the sequence with times and holds scaled so that it lasts `wanted_s`."""
+    lasts_s = max(((frame.at_s or 0.0) + frame.hold_s for frame in sequence.keyframes), default=0.0)
+    if not lasts_s > 0.0:
+        raise InputError("all times are 0 s: there is nothing to fit", path=sequence.path)
+    ratio = wanted_s / lasts_s
+    return replace(
+        sequence,
+        keyframes=tuple(
+            replace(
+                frame,
+                at_s=None if frame.at_s is None else frame.at_s * ratio,
+                hold_s=frame.hold_s * ratio,
+            )
+            for frame in sequence.keyframes
+        ),
+    )
+
+
+def least_fit_s(sequence: Show, robot: Robot) -> float:
+    """Return the least duration at which no span must be slowed, rounded up to milliseconds."""
+
+    def is_feasible(duration_s: float) -> bool:
+        layout = laid_out(scaled(sequence, duration_s), robot)
+        is_authored = np.array_equal(layout.spacing.path_s, layout.spacing.authored_s)
+        return bool(is_authored and not segments_over_limits(layout.task({})).any())
+
+    high_s = sequence.fit_duration_s or 0.0
+    while not is_feasible(high_s):
+        high_s *= 2.0
+    low_s = 0.5 * high_s
+    for _ in range(FIT_STEPS):
+        middle_s = 0.5 * (low_s + high_s)
+        low_s, high_s = (low_s, middle_s) if is_feasible(middle_s) else (middle_s, high_s)
+    return math.ceil(high_s * 1000.0) / 1000.0

@@ -1,0 +1,256 @@
+"""A robot without a show: `connect` checks it, then moves single joints, reads, and lets go.
+
+    with lss.connect(robot) as live:
+        live.move_to({"elbow": 30}, 1.5)      # within the limits; returns when it is there
+        live.read()                           # {'base': 0.1, 'elbow': 29.9, …}
+        live.limp("elbow")                    # it falls: hold it
+
+Each move is a small show: it is planned, verified and compiled as any other, and the servos have
+their own settings again after it. When the block is left, by an exception too, the robot gets its
+safe end.
+"""
+
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
+from __future__ import annotations
+
+import atexit
+import contextlib
+from typing import TYPE_CHECKING, Self, TypeVar
+
+from msgspec.structs import replace
+
+from lss_motion.errors import BusError, InputError, PlaybackError
+from lss_motion.files.source import known_names
+from lss_motion.playing import connection as connections
+from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
+from lss_motion.playing.player import handshake
+from lss_motion.playing.player.player import Player
+from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.stored_limits import questions, robot_from_answers
+from lss_motion.protocol.constants import BROADCAST_ID
+from lss_motion.protocol.framing import Command
+from lss_motion.robot.model import Robot
+from lss_motion.show.check import check_sequence
+from lss_motion.show.model import Keyframe, Sequence, Timing
+from lss_motion.system.clock import MonotonicClock, VirtualClock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from types import TracebackType
+
+    from lss_motion.playing.hands_on import HandsOn
+    from lss_motion.playing.player.events import Event
+    from lss_motion.playing.runner import Controls
+    from lss_motion.robot.model import Joint
+
+T = TypeVar("T")
+
+
+def connect(
+    robot: Robot, *, port: str | None = None, is_virtual: bool = False, seed: int = 0
+) -> Live:
+    """Open the ports of `robot` and check every servo; nothing moves.
+
+    `port` overrides that of the file. `is_virtual` needs a simulated robot, for which time then
+    passes as fast as the computer can. Raises `BusError` when a port or a servo cannot be reached,
+    and `InputError` or `PlaybackError` when the robot is not what the file says or not fit to move.
+    """
+    return Live(with_port(robot, port), is_virtual=is_virtual, seed=seed)
+
+
+class Live:
+    """An open robot. A context manager; `close` gives the robot its safe end."""
+
+    def __init__(self, robot: Robot, *, is_virtual: bool, seed: int) -> None:
+        if is_virtual and not is_simulated(robot):
+            raise InputError("is_virtual needs the simulated bus: use it with port='sim://'")
+        clock = VirtualClock() if is_virtual else MonotonicClock()
+        self.warnings: list[str] = []
+        """What a person may want to mend, found when the robot was checked."""
+        self._limp: dict[str, Joint] = {}
+        self._is_closed = False
+        self._connection = connections.connect(robot.buses, robot=robot, clock=clock, seed=seed)
+        self._connection.__enter__()
+        try:
+            if robot.unread:
+                robot = robot_from_answers(robot, self._connection.ask(questions(robot)))
+            _, self.warnings = self._connection.examined(robot.joints.values(), robot)
+        except BaseException:
+            self._leave()
+            raise
+        self.robot = robot
+        """The robot, with the limits that its file leaves to the servos."""
+        self._is_failed = False
+        atexit.register(self.close)
+
+    def read(self) -> dict[str, float]:
+        """Return where every joint is, in joint degrees; raises `BusError` if one does not say."""
+        joints = list(self.robot.joints.values())
+        answers = self._ask(handshake.position_queries(joints))
+        standing_deg = handshake.standing_deg(joints, answers)
+        if silent := [joint for joint in joints if joint.name not in standing_deg]:
+            raise handshake.silent_error(silent, joints, self.robot, answers)
+        # + 0.0: no -0.0 is shown.
+        return {joint.name: joint.joint_deg(standing_deg[joint.name]) + 0.0 for joint in joints}
+
+    def move_to(
+        self,
+        deg: Mapping[str, float],
+        duration_s: float | None = None,
+        *,
+        controls: Controls[Player] | None = None,
+    ) -> float:
+        """Move these joints to these angles and wait until they are there; return how long it took.
+
+        That is `duration_s`, or longer where a limit requires it; without `duration_s` as short as
+        the limits allow. Joints that are limp are held again if they are moved, and the others stay
+        as they are. `controls` may stop it on the way. Raises `InputError` for an unknown joint or
+        an angle out of its range, and `PlaybackError` if a joint does not follow.
+        """
+        if not deg:
+            raise InputError("move_to needs at least one joint and its angle")
+        if duration_s is not None and not duration_s > 0.0:
+            raise InputError(f"duration_s is {duration_s:g}; it must be above 0")
+        targets = {name: float(angle) for name, angle in deg.items()}
+        timing = Timing.FASTEST if duration_s is None else Timing.AUTHORED
+        check_sequence(Sequence(name="move", keyframes=(Keyframe(deg=targets),)), self.robot)
+        joints = [self.robot.joints[name] for name in targets]
+        here = self.read()
+        from_deg = {
+            joint.name: min(max(here[joint.name], joint.position_min_deg), joint.position_max_deg)
+            for joint in joints
+        }
+        keyframes = (
+            Keyframe(deg=from_deg, at_s=None if duration_s is None else 0.0),
+            Keyframe(deg=targets, at_s=duration_s),
+        )
+        trajectory = plan(Sequence(name="move", keyframes=keyframes, timing=timing), self.robot)
+        program = compile(trajectory, self.robot)
+        # It holds between moves; what the robot file wants at the end comes at the end.
+        player = Player(program, replace(self.robot, end="hold"))
+        self._guarded(player, controls)
+        for name in targets:
+            self._limp.pop(name, None)
+        self._send_limp(self._limp.values())
+        if player.error is not None:
+            raise player.error
+        if player.outcome != "finished":
+            text = "; ".join(str(fault) for fault in player.faults) or "the move was stopped"
+            raise PlaybackError(f"{text}. The robot holds")
+        return program.duration_s
+
+    def limp(self, *names: str) -> None:
+        """Take the power from these joints, or from all: they fall, and hands can move them."""
+        joints = self._named(names)
+        self._limp |= {joint.name: joint for joint in joints}
+        self._send_limp(joints)
+
+    def hold(self, *names: str) -> None:
+        """Hold these joints, or all, where they are now."""
+        joints = self._named(names)
+        for joint in joints:
+            self._limp.pop(joint.name, None)
+        self._ask([_order(joint, "H") for joint in joints])
+
+    def hold_at_end(self) -> None:
+        """Let the last bytes hold all joints, whatever `end` of the robot file says."""
+        self._is_failed = True
+
+    def close(self) -> None:
+        """Give the robot its safe end (`end` of its file) and close the ports; once is enough."""
+        if self._is_closed:
+            return
+        atexit.unregister(self.close)
+        is_limp = self.robot.end == "limp" and not self._is_failed
+        word = "L" if is_limp else "H"
+        with contextlib.suppress(BusError):
+            self._ask(
+                [
+                    Item(bus=bus, command=Command(BROADCAST_ID, word), is_query=False)
+                    for bus in self.robot.buses
+                ]
+            )
+            self._send_limp(self._limp.values())
+        self._leave()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._is_failed = self._is_failed or kind is not None
+        self.close()
+
+    def __repr__(self) -> str:
+        """Return one line: the robot, and what is limp."""
+        limp = f", limp: {', '.join(self._limp)}" if self._limp else ""
+        state = "closed" if self._is_closed else "open"
+        return f"<live {self.robot.name!r}: {state}{limp}>"
+
+    def _named(self, names: tuple[str, ...]) -> list[Joint]:
+        for name in names:
+            if not isinstance(name, str):
+                raise InputError(
+                    f"{name!r} is no name; give the names one by one: 'elbow', 'wrist'"
+                )
+            if name not in self.robot.joints:
+                raise InputError(f"unknown joint {name!r}; {known_names(name, self.robot.joints)}")
+        return [self.robot.joints[name] for name in names or self.robot.joints]
+
+    def _send_limp(self, joints: Iterable[Joint]) -> None:
+        if orders := [_order(joint, "L") for joint in joints]:
+            self._ask(orders)
+
+    def _ask(self, items: Iterable[Item]) -> Mapping[tuple[str, int, str], int | str | None]:
+        if self._is_closed:
+            raise InputError("this robot was closed; connect again")
+        return self._connection.ask(items)
+
+    def by_hand(
+        self,
+        hands_on: HandsOn,
+        *,
+        controls: Controls[HandsOn],
+        on_event: Callable[[Event], None] | None = None,
+    ) -> None:
+        """Let `controls` move, hold and release joints of this robot until they stop `hands_on`.
+
+        At its end all joints hold, those that were limp as well.
+        """
+        try:
+            self._connection.run(hands_on, controls=controls, on_event=on_event)
+        except BaseException:
+            self._is_failed = True
+            raise
+        finally:
+            self._limp.clear()
+        if hands_on.error is not None:
+            raise hands_on.error
+
+    def lend(self, use: Callable[[connections.Connection], T]) -> T:
+        """Return what `use` makes of the open ports; if it raises, the last bytes hold."""
+        try:
+            return use(self._connection)
+        except BaseException:
+            self._is_failed = True
+            raise
+
+    def _guarded(self, player: Player, controls: Controls[Player] | None) -> None:
+        """Play; whatever interrupts it ends without limp joints other than those there were."""
+        try:
+            self._connection.run(player, controls=controls)
+        except BaseException:
+            self._is_failed = True
+            raise
+
+    def _leave(self) -> None:
+        self._is_closed = True
+        self._connection.__exit__(None, None, None)
+
+
+def _order(joint: Joint, word: str) -> Item:
+    return Item(bus=joint.bus, command=Command(joint.servo_id, word), is_query=False)

@@ -1,0 +1,177 @@
+"""A log of a run as MCAP, for Foxglove, PlotJuggler, rosbag2 and other programs.
+
+    /joint_states    sensor_msgs/msg/JointState: a position that a servo reported, one joint each
+    /joint_commands  sensor_msgs/msg/JointState: the target of a `D` that was sent, one joint each
+    /events          JSON: `type` and the fields of each event; requests of a person
+
+Angles are joint angles in radians. Times are those of the log: nanoseconds since the run began.
+Needs the library mcap: the extra `[mcap]`.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import math
+import re
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import InputError, install_command
+from lss_motion.playing.replay import sent_lines
+from lss_motion.protocol.framing import Command, CommandParser, Reply, ReplyParser
+from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lss_motion.playing.replay import Entry
+    from lss_motion.robot.model import Joint, Robot
+
+STATES: Final = "/joint_states"
+COMMANDS: Final = "/joint_commands"
+EVENTS: Final = "/events"
+
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+JOINT_STATE_TEXT: Final = """\
+std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+"""The definition of the message, as the encoding `ros2msg` of MCAP requires it."""
+
+EVENT_SCHEMA: Final = {
+    "type": "object",
+    "properties": {"type": {"type": "string"}},
+    "required": ["type"],
+}
+
+_ENUM: Final = re.compile(r"<\w+\.\w+: ('[^']*')>")
+"""A member of an enumeration of texts, as Python writes it."""
+
+CDR_HEAD: Final = b"\x00\x01\x00\x00"
+"""Little endian, no options."""
+
+
+def mcap_of_log(entries: list[Entry], robot: Robot) -> bytes:
+    """Return the content of an MCAP file; raise `InputError` if the library is missing."""
+    try:
+        from mcap.writer import CompressionType, Writer
+    except ImportError as error:
+        raise InputError(f"MCAP needs a library: {install_command('mcap')}") from error
+    out = io.BytesIO()
+    # Without compression, no further library is needed to read the file.
+    writer = Writer(out, compression=CompressionType.NONE)
+    writer.start(profile="ros2", library="lss_motion")
+    state = writer.register_schema(JOINT_STATE, "ros2msg", JOINT_STATE_TEXT.encode())
+    event = writer.register_schema("lss_motion/Event", "jsonschema", _json(EVENT_SCHEMA))
+    channels = {topic: writer.register_channel(topic, "cdr", state) for topic in (STATES, COMMANDS)}
+    channels[EVENTS] = writer.register_channel(EVENTS, "json", event)
+    messages = [*_angles(entries, robot), *_events(entries)]
+    messages.sort(key=lambda message: message[0])
+    for at_ns, topic, data in messages:
+        writer.add_message(channels[topic], log_time=at_ns, publish_time=at_ns, data=data)
+    writer.finish()  # type: ignore[no-untyped-call,unused-ignore]
+    return out.getvalue()
+
+
+Message = tuple[int, str, bytes]
+
+
+def _angles(entries: list[Entry], robot: Robot) -> Iterator[Message]:
+    """Yield a message for every position that was reported, and for every target that was sent."""
+    joints = {(joint.bus, joint.servo_id): joint for joint in robot.joints.values()}
+    replies: dict[str, ReplyParser] = {}
+    for entry in entries:
+        if entry.kind == "<":
+            parser = replies.setdefault(entry.bus, ReplyParser())
+            for item in parser.feed(entry.data):
+                if isinstance(item, Reply) and item.keyword == "QD" and item.servo_id is not None:
+                    joint = joints.get((entry.bus, item.servo_id))
+                    if joint is not None and isinstance(item.value, int):
+                        yield entry.at_ns, STATES, _joint_state(entry.at_ns, joint, item.value)
+    commands = CommandParser(grouped=False)
+    for at_ns, bus, line in sent_lines(entries):
+        for sent in commands.feed(line):
+            if isinstance(sent, Command) and sent.keyword == "D" and isinstance(sent.value, int):
+                joint = joints.get((bus, sent.servo_id))
+                if joint is not None:
+                    yield at_ns, COMMANDS, _joint_state(at_ns, joint, sent.value)
+
+
+def _joint_state(at_ns: int, joint: Joint, wire: int) -> bytes:
+    """Return a JointState with one joint in CDR, the encoding of ROS 2."""
+    angle_rad = math.radians(joint.joint_deg(wire / joint.model.wire_per_deg))
+    seconds, rest_ns = divmod(at_ns, NS_PER_S)
+    body = bytearray(struct.pack("<iI", seconds, rest_ns))
+    _add_text(body, "")
+    _add(body, "<I", 1)
+    _add_text(body, joint.name)
+    _add(body, "<I", 1)
+    _add(body, "<d", angle_rad)
+    _add(body, "<II", 0, 0)  # Neither velocity nor effort.
+    return CDR_HEAD + bytes(body)
+
+
+def _add(body: bytearray, form: str, *values: float) -> None:
+    """Append numbers at a multiple of their size."""
+    size = struct.calcsize(form[:2])
+    body += bytes(-len(body) % size)
+    body += struct.pack(form, *values)
+
+
+def _add_text(body: bytearray, text: str) -> None:
+    data = text.encode() + b"\0"
+    _add(body, "<I", len(data))
+    body += data
+
+
+def _events(entries: list[Entry]) -> Iterator[Message]:
+    for entry in entries:
+        match entry.kind:
+            case "!":
+                yield entry.at_ns, EVENTS, _json(_event(entry.text))
+            case "=":
+                yield entry.at_ns, EVENTS, _json({"type": "Request", "text": entry.text})
+            case "~":
+                content = {"type": "Port", "bus": entry.bus, "text": entry.text}
+                yield entry.at_ns, EVENTS, _json(content)
+            case _:
+                pass
+
+
+def _event(logged: str) -> dict[str, Any]:
+    """Return type and fields of an event in a log, or its text if it cannot be read."""
+    text = logged.encode("ascii").decode("unicode_escape")
+    try:
+        value = _value(ast.parse(_ENUM.sub(r"\1", text), mode="eval").body)
+    except (SyntaxError, ValueError, TypeError, RecursionError):
+        value = None
+    return value if isinstance(value, dict) else {"type": "Event", "text": text}
+
+
+def _value(node: ast.expr) -> Any:  # noqa: ANN401  (a value of JSON)
+    match node:
+        case ast.Call(func=ast.Name(id=name)):
+            fields = {key.arg or "": _value(key.value) for key in node.keywords}
+            values = {"values": [_value(arg) for arg in node.args]} if node.args else {}
+            return {"type": name, **values, **fields}
+        case ast.Tuple() | ast.List():
+            return [_value(item) for item in node.elts]
+        case _:
+            return ast.literal_eval(node)
+
+
+def _json(content: object) -> bytes:
+    return json.dumps(content, default=str).encode()

@@ -1,0 +1,266 @@
+"""Functions and sounds of a show, in a process of their own, so that they never delay a command.
+
+The player's process writes one JSON object a line to the standard input of that process
+(`playing.performer_process`) and never waits; a line that does not fit into the pipe is lost. It
+reads the reports: what is done, what failed, what was printed. Whatever way the show ends, no
+process is left: the whole process group is killed after the show.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import InputError
+from lss_motion.playing.performer_process import CLOSE_S, LOOK_S
+from lss_motion.playing.player.events import CueReached, Warned
+from lss_motion.show.functions import function_problem
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Iterator
+    from types import TracebackType
+
+    from lss_motion.playing.player.events import Event
+    from lss_motion.show.model import Cue
+
+START_S: Final = 10.0
+"""The longest time that importing the modules of the functions may take. Chosen: large libraries
+take a few seconds on a small computer."""
+READ_BYTES: Final = 65536
+PRINTED_MAX: Final = 10
+"""So many of the last lines that functions and sounds have printed are reported."""
+LOST_MAX: Final = 1000
+NAMED_MAX: Final = 5
+"""A warning names this many that were not done, and counts the others."""
+
+
+class Performer:
+    """The player's end of the pipes. A context manager.
+
+    Raises `InputError` for a function that does not exist or is not imported in `START_S`.
+    """
+
+    def __init__(self, cues: Collection[Cue]) -> None:
+        functions = list({(cue.run, cue.folder) for cue in cues if cue.run})
+        self.lost: list[Cue] = []
+        """The first cues that did not fit into the pipe, up to `LOST_MAX`."""
+        self._lost_count = 0
+        self.started: deque[Cue] = deque()
+        """Cues that were started and are not done, oldest first."""
+        self.warnings: deque[str] = deque()
+        """Texts for a person that `take_warnings` has not returned yet."""
+        self._printed: deque[str] = deque(maxlen=PRINTED_MAX)
+        self._printed_count = 0
+        self._playing = 0
+        self._loading = ""
+        self._rest = b""
+        self._is_ready, self._answer = False, ""
+        self._child = subprocess.Popen(  # noqa: S603  our own program
+            # -P: no module of the current folder is imported in place of an installed one.
+            [sys.executable, "-P", "-m", "lss_motion.playing.performer_process", str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C ends the player only; this ends with its pipe.
+        )
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._pipe_fd, self._reports_fd = self._child.stdin.fileno(), self._child.stdout.fileno()
+        os.set_blocking(self._reports_fd, False)
+        self._child.stdin.write(json.dumps(functions).encode() + b"\n")
+        self._child.stdin.flush()
+        os.set_blocking(self._pipe_fd, False)
+        if problem := self._problem():
+            self._end(0.0)
+            raise InputError(problem)
+
+    def perform(self, cue: Cue) -> None:
+        """Start a function or a sound; never waits."""
+        if not cue.run and not cue.sound:
+            return
+        request = {"run": cue.run, "folder": cue.folder, "sound": cue.sound, "at_s": cue.at_s}
+        line = json.dumps(request).encode() + b"\n"
+        try:
+            # A pipe takes up to 4096 bytes as a whole or not at all.
+            os.write(self._pipe_fd, line)
+        except (BlockingIOError, BrokenPipeError):
+            self._lost_count += 1
+            if len(self.lost) < LOST_MAX:
+                self.lost.append(cue)
+        else:
+            self.started.append(cue)
+
+    def take_warnings(self) -> list[str]:
+        """Return what went wrong since the last call; never waits."""
+        self._read()
+        texts, self.warnings = list(self.warnings), deque()
+        return texts
+
+    def unfinished(self) -> list[str]:
+        """Return warnings, once closed: what was not done, and what functions have printed."""
+        texts = []
+        left = [f"{_named(cue)} at {cue.at_s:g} s" for cue in (*self.started, *self.lost)]
+        if left:
+            if self.started:
+                left[0] += " (not at its end)"
+            named = ", ".join(left[:NAMED_MAX])
+            count = len(self.started) + self._lost_count
+            more = f" and {count - NAMED_MAX} more" if count > NAMED_MAX else ""
+            texts.append(
+                f"not done: {named}{more}. Each waits until the one before it returns; after the "
+                f"show there are {CLOSE_S:g} s. Let a slow function start a thread"
+            )
+        if self._playing:
+            texts.append(f"a sound was stopped that did not end {CLOSE_S:g} s after the show")
+        if self._printed:
+            shown = "".join(f"\n  {line}" for line in self._printed)
+            texts.append(
+                f"functions and sounds printed {self._printed_count} lines; the last:{shown}"
+            )
+        return texts
+
+    def _problem(self) -> str:
+        """Wait until the functions are there, for `START_S`; return why they are not."""
+        end_s = time.monotonic() + START_S
+        while not self._is_ready and not self._answer:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return (
+                    f"run: {self._loading!r} cannot be used: importing its module takes more than "
+                    f"{START_S:g} s"
+                )
+            readable, _, _ = select.select([self._reports_fd], [], [], left_s)
+            if readable and not self._read():
+                name = f" while {self._loading!r} was imported" if self._loading else ""
+                return f"the process for functions and sounds ended{name}"
+        return self._answer
+
+    def _read(self) -> bool:
+        """Take what the process has reported, so that its pipe is never full; False at its end."""
+        if self._child.stdout is None or self._child.stdout.closed:
+            return False
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._reports_fd, READ_BYTES):
+                *lines, self._rest = (self._rest + data).split(b"\n")
+                for line in lines:
+                    self._take(json.loads(line))
+            return False
+        return True
+
+    def _take(self, report: dict[str, Any]) -> None:
+        match report:
+            case {"done": True}:
+                self.started.popleft()
+            case {"failed": text}:
+                self.warnings.append(text)
+            case {"printed": text}:
+                self._printed.append(text)
+                self._printed_count += 1
+            case {"sounds": count}:
+                self._playing = count
+            case {"loading": name}:
+                self._loading = name
+            case {"problem": text}:
+                self._answer = text
+            case _:
+                self._is_ready = True
+
+    def __enter__(self) -> Performer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end(CLOSE_S if kind is None else 0.0)
+
+    def _end(self, wait_s: float) -> None:
+        """Wait for the process, then kill whatever is left of its group."""
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        with contextlib.suppress(OSError):
+            self._child.stdin.close()
+        end_s = time.monotonic() + wait_s
+        while self._child.poll() is None and time.monotonic() < end_s:
+            select.select([self._reports_fd], [], [], LOOK_S)
+            if not self._read():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._child.wait(max(end_s - time.monotonic(), 0.0))
+        if code := self._child.poll():
+            self.warnings.append(
+                f"the process for functions and sounds ended with exit code {code}"
+            )
+        if hasattr(os, "killpg"):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._child.pid, signal.SIGKILL)
+        else:
+            self._child.kill()
+        self._child.wait()
+        self._read()
+        self._child.stdout.close()
+
+
+def _named(cue: Cue) -> str:
+    return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
+
+
+@contextlib.contextmanager
+def performing(
+    cues: Collection[Cue],
+    tell: Callable[[Event], None],
+    *,
+    is_virtual: bool,
+    has_stream: bool = False,
+) -> Iterator[Callable[[Event], None]]:
+    """Yield an event handler that starts functions and sounds, then calls `tell`.
+
+    In virtual time none is started: an hour of sounds would play at once. With `has_stream` the
+    sounds are played elsewhere (`playing.sounds`). Raises `InputError` for a function that does
+    not exist.
+    """
+    if has_stream:
+        cues = [cue for cue in cues if cue.run]
+    if is_virtual:
+        check_functions(cues)
+    if is_virtual or not any(cue.run or cue.sound for cue in cues):
+        yield tell
+        return
+    performer = Performer(cues)
+
+    def warn() -> None:
+        for text in performer.take_warnings():
+            tell(Warned(text))
+
+    def perform_and_tell(event: Event) -> None:
+        if isinstance(event, CueReached) and not (has_stream and event.cue.sound):
+            performer.perform(event.cue)
+        tell(event)
+        warn()
+
+    try:
+        with performer:
+            warn()
+            yield perform_and_tell
+    finally:
+        for text in [*performer.warnings, *performer.unfinished()]:
+            tell(Warned(text))
+
+
+def check_functions(cues: Iterable[Cue]) -> None:
+    """Raise `InputError` for a function that does not exist, without running its module.
+
+    A compiled program may have been moved away from the folder of its functions.
+    """
+    for run, folder in {(cue.run, cue.folder): None for cue in cues if cue.run}:
+        if problem := function_problem(run, folder):
+            raise InputError(f"run: {run!r} cannot be used: {problem}")

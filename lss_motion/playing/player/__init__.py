@@ -1,0 +1,50 @@
+"""Plays a program on the servos of a robot, without I/O.
+
+The package does no input or output: it has no port, no thread and no clock. A driver
+(`playing.runner`, or a test in virtual time) calls four functions of `Player` and does the I/O
+itself:
+
+    data_to_send(leaves_ns)          bytes to write now; they leave at `leaves_ns`
+    receive_data(bus, data, now_ns)  bytes that a port delivered
+    next_wakeup_ns()                 latest instant of the next call
+    next_event()                     what happened, as a value of `events`
+
+All instants are integer nanoseconds on the driver's run clock, and must not decrease. The same
+calls with the same arguments give the same bytes, so a log can be replayed (`playing.replay`).
+
+    file            what it is                                          who calls it
+    player          state machine of a show, `Player`                   api, runtime, cli, walking
+    stage_player    many programs in one run, `StagePlayer`             stage_run
+    added_show      a program beside another one, on its own joints     stage_player
+    repertoire      the programs of such a run, and what they need      stage_player
+    show_summary    how one of its shows went, in a few numbers         events, runtime
+    stalls          whether this process was held up                    player
+    session         the servos during one show, shared by all phases    player
+    preflight       the dialogue before anything moves, asked twice     session, maintenance, cli
+    checks          what the servos answered, compared with the files   session, preflight, cli
+    handshake       settings, restore, recovery                         session, faults, maintenance
+    transactions    lists of queries and orders on every bus            handshake, connection, cli
+    approach        program from where the robot stands to the start    session
+    streamer        one program on the show clock                       session
+    joining         moves of joints that are off their plan             streamer
+    show_clock      show time as a function of the run clock            streamer, cues
+    following       keeps a show in step with a leader                  sync, remote
+    due_moves       moves in the order in which they leave              streamer
+    rate_ramps      moves computed at run time: rate not 1, guiding     streamer
+    setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
+    joint_state     one joint: sent moves, model, readings              streamer, polling
+    lateness        how late the moves of a run left                    streamer, report
+    estimators      load, play, lag, lost moves of a joint              joint_state
+    standing        corrections of a joint at rest                      joint_state
+    polling         queries in the gaps between moves, and their use    streamer
+    query_choice    which servo is polled next, and for what            polling
+    query_tracker   queries in flight on one bus                        polling, transactions
+    unasked         what arrives on a bus beyond its queries            session, monitor
+    serial_line     one line: when it is free, what came in             all that send
+    stalls          delays of this process when a move was due          player
+    settings_watch  servos that may have lost their settings        polling
+    health          faults found in answers and in missing answers      polling
+    faults          steps that are taken about faults                   player
+    cues            marks, cues, and waits for sensors                  session, streamer
+    events          what happened, as values                            player, cli, runtime
+"""

@@ -1,0 +1,198 @@
+"""A show that is played beside another one, on joints of its own and with its own show clock.
+
+It has its own approach, and its servos are polled by the streamer of the other show. Where a run of
+one show asks all servos in a dialogue whether they have arrived, the readings of the approach
+itself must do here, since the other joints move.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.playing.player.cues import Agenda
+from lss_motion.playing.player.events import ShowBegan, ShowOver
+from lss_motion.playing.player.session import Arrival
+from lss_motion.playing.player.show_summary import summary_of
+from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
+
+if TYPE_CHECKING:
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import Event, ShowOutcome
+    from lss_motion.playing.player.session import Session
+    from lss_motion.playing.player.streamer import Streamer
+
+COUNT_IN_NS: Final = 50 * NS_PER_MS
+"""Time from the arrival of its joints to the first instant. Chosen: to prepare a show of a few
+joints takes milliseconds."""
+STILL_NS: Final = 100 * NS_PER_MS
+"""Readings so long before the end of an approach are of joints at rest: it waits longer for them to
+settle (`streamer.SETTLE_S`)."""
+READINGS_NS: Final = 3 * NS_PER_S
+"""The longest wait for readings of all joints. Chosen: each is read ten times a second, and a servo
+that is silent is a fault before this."""
+
+
+class _Step(Enum):
+    APPROACH = auto()
+    SHOW = auto()
+    BRAKE = auto()
+    OVER = auto()
+
+
+class AddedShow:
+    """One show beside another. Its owner calls `advance` before it advances the other show."""
+
+    def __init__(
+        self, program: Program, start_s: float | None, session: Session, now_ns: int
+    ) -> None:
+        """Begin the approach at once. The joints of `program` must rest."""
+        self.program = program
+        self.astray: tuple[str, float, int] | None = None
+        """The joint that did not arrive, by how much, and after how many approaches."""
+        self._session = session
+        self._start_s = start_s
+        self._show: Streamer | None = None
+        self._agenda = Agenda(program, session.robot)
+        self._agenda.begin_at(start_s)
+        self._began_ns: int | None = None
+        self._finished_ns: int | None = None
+        """When the approach had come to its end."""
+        self._approaches = 0
+        self._is_held = False
+        """Whether all shows brake for a fault or a stop: nothing begins meanwhile."""
+        self._step = _Step.APPROACH
+        session.note_standing(now_ns)
+        self.streamer = self._approach(now_ns)
+
+    @property
+    def joints(self) -> set[str]:
+        return set(self.program.start_deg)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended and its joints rest."""
+        return self._step is _Step.OVER
+
+    @property
+    def is_leaving(self) -> bool:
+        return self._step in (_Step.BRAKE, _Step.OVER)
+
+    def pose_deg(self, now_ns: int) -> dict[str, float]:
+        """Return where its joints are to be, or to begin."""
+        if self._show is not None:
+            return self._show.pose_deg(now_ns)
+        return self._session.start_of(self.program, self._start_s)
+
+    def advance(self, now_ns: int) -> list[Event]:
+        """Hand over the moves that are due; return what has happened."""
+        events: list[Event] = []
+        if self._step is _Step.SHOW:
+            events += self._agenda.advance(self.streamer, self._session.lines, now_ns)
+        self.streamer.advance(now_ns)
+        if self._is_held:
+            return events
+        if self._step is _Step.APPROACH and self.streamer.is_finished(now_ns):
+            events += self._arrive(now_ns)
+        elif self._step is _Step.SHOW and self.streamer.is_finished(now_ns):
+            events += self.end("finished", now_ns)
+        elif self._step is _Step.BRAKE and self.streamer.is_standing(now_ns):
+            events += self.end("left", now_ns)
+        return events
+
+    def next_wakeup_ns(self, now_ns: int) -> int | None:
+        """Return when `advance` must be called again at the latest."""
+        wakeups_ns = [self.streamer.next_wakeup_ns(now_ns)]
+        if self._step is _Step.SHOW:
+            wakeups_ns.append(self._agenda.wakeup_ns(self._show, self._session.lines, now_ns))
+        return min((w for w in wakeups_ns if w is not None), default=None)
+
+    # ---- what its owner decides
+
+    def leave(self, now_ns: int) -> None:
+        """Brake; then it is over."""
+        if not self.is_leaving:
+            self._brake(now_ns)
+            self._step = _Step.BRAKE
+
+    def hold(self, now_ns: int) -> None:
+        """Brake, and stand there until `go_on`."""
+        self._is_held = True
+        self._brake(now_ns)
+
+    def _brake(self, now_ns: int) -> None:
+        if self.streamer.rate_wanted != 0.0:
+            self.streamer.set_rate(0.0, now_ns)
+
+    def set_rate(self, rate: float, rate_max: float, now_ns: int) -> None:
+        """Play at `rate` as far as the faults allow it, which concerns the approach, too."""
+        rate = min(rate, rate_max) if self._step is _Step.SHOW else rate_max
+        if not (self.is_leaving or self._is_held) and rate != self.streamer.rate_wanted:
+            self.streamer.set_rate(rate, now_ns)
+
+    def go_on(self, now_ns: int) -> list[Event]:
+        """Go on after an approach of all joints has led to `pose_deg`."""
+        self._is_held = False
+        if self._show is None:
+            return self._begin(now_ns)
+        self._session.resume(self._show, now_ns)
+        self.streamer = self._show
+        return []
+
+    def end(self, outcome: ShowOutcome, now_ns: int) -> list[Event]:
+        """Note that it is over; return what is reported of it."""
+        self._step = _Step.OVER
+        began_ns, self._began_ns = self._began_ns, None
+        if self._show is None or began_ns is None:
+            return []
+        summary = summary_of(
+            self.program,
+            self._show,
+            outcome=outcome,
+            from_s=self._start_s or 0.0,
+            began_ns=began_ns,
+            ended_ns=now_ns,
+            joints=self.joints,
+            is_added=True,
+        )
+        return [ShowOver(summary)]
+
+    # ---- its approach
+
+    def _approach(self, now_ns: int) -> Streamer:
+        self._approaches += 1
+        self._finished_ns = None
+        pose_deg = self._session.start_of(self.program, self._start_s)
+        left_out = self._session.left_out
+        pose_deg = {name: deg for name, deg in pose_deg.items() if name not in left_out}
+        return self._session.approach(pose_deg, now_ns, is_beside=True)
+
+    def _arrive(self, now_ns: int) -> list[Event]:
+        """Begin if every joint is where the show begins; else approach again, or give up."""
+        session = self._session
+        if self._finished_ns is None:
+            self._finished_ns = now_ns
+        if not session.has_feedback:
+            return self._begin(now_ns)
+        is_read = session.note_readings(self.streamer, s_from_ns(self._finished_ns - STILL_NS))
+        if not is_read and now_ns < self._finished_ns + READINGS_NS:
+            return []
+        names = self.streamer.joint_states
+        place_deg = {n: deg for n, deg in self.pose_deg(now_ns).items() if n in names}
+        match session.judge_arrival(place_deg, self._approaches, now_ns):
+            case Arrival.THERE, _, _:
+                return self._begin(now_ns)
+            case Arrival.AGAIN, _, _:
+                self.streamer = self._approach(now_ns)
+            case Arrival.ASTRAY, joint, off_deg:
+                self.astray = joint, off_deg, self._approaches
+                self._step = _Step.OVER
+        return []
+
+    def _begin(self, now_ns: int) -> list[Event]:
+        start_ns = now_ns + COUNT_IN_NS
+        self.streamer = self._show = self._session.begin_beside(
+            self.program, self._start_s, start_ns
+        )
+        self._step, self._began_ns = _Step.SHOW, now_ns
+        return [ShowBegan(self.program.name, self._start_s or 0.0, is_added=True)]

@@ -1,0 +1,394 @@
+"""Settings, restore and recovery: what surrounds the motion of a show.
+
+Before the show, `preflight` has queried every servo, and `checks` has compared the answers with the
+robot file and the program. `SettingsDialogue` then sends the session settings until every servo
+answers with what it was sent: a timed servo gets the joint's own limits (AA, AD and SD), which it
+keeps whatever it receives, and EM1, in which `D…T…` works; a streamed one gets EM0 with the
+program's FPC. An RC servo on a 2IO has no settings. `Recovery` waits for servos that are missing.
+Afterwards `restoring_orders` gives back the original settings, and `safe_bytes` are the last bytes.
+
+Answers are keyed by `(bus, servo id, keyword)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from lss_motion.errors import BusError, PlaybackError
+from lss_motion.playing.player.cues import LED_KEYWORD
+from lss_motion.playing.player.transactions import Dialogue, Item
+from lss_motion.protocol.codec import language_table, make_command, read_reply
+from lss_motion.protocol.constants import BROADCAST_ID
+from lss_motion.protocol.framing import Command, Reply, encode
+from lss_motion.robot.profile import ramp_setting_deg_s2
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Mapping, Sequence
+
+    from lss_motion.playing.player.query_tracker import QueryTracker
+    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.robot.model import Joint, Robot
+
+    Answers = Mapping[tuple[str, int, str], int | str | None]
+
+
+UNCONFIRMED_TRIES: Final = 2
+"""Tries per round for a query that a servo has not answered before."""
+SETTING_TRIES: Final = 4
+"""Rounds in which a setting is sent until the servo answers with it. Chosen: on a line that loses
+every tenth command, one of 10,000 settings stays wrong."""
+
+
+class SettingsDialogue:
+    """A `Dialogue` that sends orders until every servo answers with what it was sent.
+
+    `wrong` are the orders that were not applied in `SETTING_TRIES` rounds. Those of `unconfirmed`
+    may also stay unanswered, since the servo may not support them. `then` are queries that follow
+    the orders in every round.
+    """
+
+    def __init__(
+        self,
+        orders: Sequence[Item],
+        then: Iterable[Item],
+        unconfirmed: Sequence[Item],
+        lines: Mapping[str, SerialLine],
+        trackers: Mapping[str, QueryTracker],
+    ) -> None:
+        self.wrong = list(orders)
+        self.answers: dict[tuple[str, int, str], int | str | None] = {}
+        self._then = list(then)
+        self._unconfirmed = list(unconfirmed)
+        self._lines = lines
+        self._trackers = trackers
+        self._rounds = 0
+        self._dialogue = self._round()
+
+    @property
+    def is_finished(self) -> bool:
+        return self._dialogue.is_finished and not self._must_repeat()
+
+    def advance(self, now_ns: int) -> None:
+        self._dialogue.advance(now_ns)
+        if not self._dialogue.is_finished:
+            return
+        self.answers.update(self._dialogue.answers)
+        self.wrong = not_applied(self.wrong, self.answers)
+        self._unconfirmed = not_applied(self._unconfirmed, self.answers)
+        if self._must_repeat():
+            self._dialogue = self._round()
+            self._dialogue.advance(now_ns)
+        else:
+            self.wrong += [order for order in self._unconfirmed if is_answered(order, self.answers)]
+            self._unconfirmed = []
+
+    def _must_repeat(self) -> bool:
+        return bool(self.wrong or self._unconfirmed) and self._rounds < SETTING_TRIES
+
+    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
+        self._dialogue.receive(bus, reply, now_ns)
+
+    def next_wakeup_ns(self) -> int | None:
+        return self._dialogue.next_wakeup_ns()
+
+    def _round(self) -> Dialogue:
+        self._rounds += 1
+        unconfirmed = [
+            replace(item, tries=UNCONFIRMED_TRIES) for item in read_back(self._unconfirmed)
+        ]
+        items = [*self.wrong, *self._unconfirmed, *read_back(self.wrong), *unconfirmed, *self._then]
+        return Dialogue(items, self._lines, self._trackers)
+
+
+def read_back(orders: Iterable[Item]) -> list[Item]:
+    """Return the queries that show whether orders were applied."""
+    return [
+        Item(
+            bus=order.bus,
+            command=Command(order.command.servo_id, f"Q{order.command.keyword}"),
+            is_query=True,
+            agree_within=0,
+        )
+        for order in orders
+    ]
+
+
+def not_applied(orders: Iterable[Item], answers: Answers) -> list[Item]:
+    """Return the orders whose values the answers to `read_back` do not confirm."""
+    return [
+        order
+        for order in orders
+        if answers.get((order.bus, order.command.servo_id, f"Q{order.command.keyword}"))
+        != order.command.value
+    ]
+
+
+def is_answered(order: Item, answers: Answers) -> bool:
+    """Return whether the servo answered the read-back of an order."""
+    return (order.bus, order.command.servo_id, f"Q{order.command.keyword}") in answers
+
+
+def not_applied_error(order: Item, answers: Answers, joints: Iterable[Joint]) -> PlaybackError:
+    """Return the error for an order that was not applied in `SETTING_TRIES` rounds."""
+    command = order.command
+    name = next(j.name for j in joints if (j.bus, j.servo_id) == (order.bus, command.servo_id))
+    answer = answers.get((order.bus, command.servo_id, f"Q{command.keyword}"))
+    return PlaybackError(
+        f"joint {name!r}: servo {command.servo_id} was set to {command.keyword} {command.value} "
+        f"{SETTING_TRIES} times and answers {'nothing' if answer is None else answer}. Check "
+        f"wiring and power; nothing is driven without its limits",
+        joint=name,
+    )
+
+
+RESTORING_TIMES: Final = 2
+"""Settings are given back this often, without read-back: a stop must not take longer."""
+SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD", "FPC", "IPE")
+LIMIT_KEYWORDS: Final = ("EM", "AA", "AD", "SD")
+"""Without these a servo does not keep the joint's limits, or accepts no limits at all."""
+
+
+def reported(joint: Joint, answers: Answers, keyword: str) -> float | None:
+    """Return the value that a servo reported for `keyword`, in physical units; None: no number."""
+    value = answers.get((joint.bus, joint.servo_id, keyword))
+    if not isinstance(value, int):
+        return None
+    answer = read_reply(joint.model.language, Reply(joint.servo_id, keyword, value))
+    return (
+        float(answer.value)
+        if answer is not None and isinstance(answer.value, int | float)
+        else None
+    )
+
+
+def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
+    """Return the settings for the show whose original value is known; see `unconfirmed_orders`."""
+    orders = []
+    for joint in joints:
+        orders += _session_orders(joint, answers, is_known=True)
+        orders += [
+            _order(joint, Command(joint.servo_id, keyword, value))
+            for keyword, value in joint.settings.items()
+        ]
+    return orders
+
+
+def unconfirmed_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
+    """Return the limits for the show whose original value is unknown.
+
+    The line was bad, or the servo does not support the query (no document says which family answers
+    all). The limits are sent all the same, since limits must hold. They cannot be given back: the
+    servo keeps them until it restarts.
+    """
+    return [
+        order
+        for joint in joints
+        for order in _session_orders(joint, answers, is_known=False)
+        if order.command.keyword in LIMIT_KEYWORDS
+    ]
+
+
+def _session_orders(joint: Joint, answers: Answers, *, is_known: bool) -> list[Item]:
+    known = language_table(joint.model.language).by_keyword
+    return [
+        _order(joint, make_command(joint.model.language, joint.servo_id, keyword, value))
+        for keyword, value in _session_of(joint).items()
+        if f"Q{keyword}" in known
+        and is_known is (reported(joint, answers, f"Q{keyword}") is not None)
+    ]
+
+
+def session_commands(joints: Iterable[Joint]) -> list[Command]:
+    """Return the settings for the show, for a host that does not read the original values."""
+    return [
+        command
+        for joint in joints
+        for command in (
+            *(
+                make_command(joint.model.language, joint.servo_id, keyword, value)
+                for keyword, value in _session_of(joint).items()
+            ),
+            *(Command(joint.servo_id, keyword, value) for keyword, value in joint.settings.items()),
+        )
+    ]
+
+
+def changed(joint: Joint, led_joints: Container[str]) -> list[str]:
+    """Return the keywords that a show sets besides those of the drive.
+
+    `led_joints` are the joints whose LED colours it changes.
+    """
+    lights = [LED_KEYWORD] if joint.name in led_joints and LED_KEYWORD not in joint.settings else []
+    return [*joint.settings, *lights]
+
+
+def _session_of(joint: Joint) -> dict[str, float]:
+    """Return the session settings that the drive of a joint needs, in physical units.
+
+    FPC comes before EM0, so that the filter is right from its first step on. It is unknown whether
+    SD limits anything in EM0; it does no harm.
+    """
+    if joint.drive == "stepped":
+        return {}
+    if joint.drive == "streamed":
+        count = float(joint.filter_count)
+        return {"FPC": count, "IPE": 1.0, "SD": joint.speed_max_deg_s, "EM": 0.0}
+    ramp = ramp_setting_deg_s2(joint)
+    return {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
+
+
+def restoring_orders(
+    joints: Iterable[Joint], answers: Answers, led_joints: Container[str] = ()
+) -> list[Item]:
+    """Return the orders that give back all settings, and the LED colours of `led_joints`.
+
+    All of them are repeated `RESTORING_TIMES`.
+    """
+    return [
+        _order(joint, Command(joint.servo_id, keyword, original))
+        for _ in range(RESTORING_TIMES)
+        for joint in joints
+        for keyword in (*SESSION_KEYWORDS, *changed(joint, led_joints))
+        if isinstance(original := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
+    ]
+
+
+def _order(joint: Joint, command: Command) -> Item:
+    return Item(bus=joint.bus, command=command, is_query=False)
+
+
+PLACE_WITHIN_DEG: Final = 2.0
+"""Two positions agree within this: noise, and an arm that sags when a hand releases it."""
+AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
+"""Largest change of voltage (mV) and temperature (tenths of a degree) within two milliseconds."""
+ARRIVED_DEG: Final = 3.0
+"""A joint further from its start than this is sent there again; less may be its load."""
+LOADED_DEG: Final = 1.0
+"""With feedback the load is known after the first approach. A joint that its load keeps further
+away than this is sent there once more, corrected: that takes half a second, and the show then
+begins at the right place."""
+
+
+def settings_queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
+    """Return the queries for what `settings` of the robot file, and LED colours, will overwrite."""
+    return [query(joint, f"Q{word}") for joint in joints for word in changed(joint, led_joints)]
+
+
+def position_queries(joints: Iterable[Joint]) -> list[Item]:
+    """Return the position query of every servo."""
+    return [query(joint, "QD") for joint in joints]
+
+
+def query(joint: Joint, keyword: str) -> Item:
+    """Return a query of which two answers must agree."""
+    within = AGREE_WITHIN.get(keyword, 0)
+    if keyword == "QD":
+        within = round(PLACE_WITHIN_DEG * joint.model.wire_per_deg)
+    command = Command(joint.servo_id, keyword)
+    return Item(bus=joint.bus, command=command, is_query=True, agree_within=within)
+
+
+def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:
+    """Return the servo angle of every joint that reported its position."""
+    angles = {joint.name: reported(joint, answers, "QD") for joint in joints}
+    return {name: angle for name, angle in angles.items() if angle is not None}
+
+
+def silent_error(
+    silent: Sequence[Joint], joints: Sequence[Joint], robot: Robot, answers: Answers
+) -> BusError:
+    """Return the error for servos without an angle: they do not answer, or no two answers agree."""
+    answering = {(bus, servo_id) for bus, servo_id, _ in answers}
+    mute = [joint for joint in silent if (joint.bus, joint.servo_id) not in answering]
+    named = ", ".join(f"{j.name} (id {j.servo_id} on bus {j.bus!r})" for j in mute or silent)
+    bus = robot.buses[(mute or silent)[0].bus]
+    if not mute:
+        return BusError(
+            f"no two angles (QD) agree within {PLACE_WITHIN_DEG:g} deg: {named}. Does something "
+            f"move it? Else its servo counts other angles than its `model`, or two servos have "
+            f"its id (lss-motion scan)",
+            url=bus.port,
+        )
+    silent = mute
+    return BusError(
+        f"no answer from {len(silent)} of {len(joints)} servos: {named}. Check power, wiring, "
+        f"ids and the baud rate ({bus.baud_bps} bps)",
+        url=bus.port,
+    )
+
+
+def safe_bytes(
+    robot: Robot, *, is_limp: bool = False, limp: Iterable[Joint] = ()
+) -> dict[str, bytes]:
+    """Return, per bus, the last bytes of every run: hold where it is, or go limp (FACTS.md A24).
+
+    The motors of `limp` lose their power in any case.
+    """
+    last = dict.fromkeys(robot.buses, encode(Command(BROADCAST_ID, "L" if is_limp else "H")))
+    for joint in limp:
+        last[joint.bus] += limp_bytes(joint)
+    return last
+
+
+def limp_bytes(joint: Joint) -> bytes:
+    """Return the bytes that take the power from one motor."""
+    return encode(Command(joint.servo_id, "L"))
+
+
+UNLIMITED_TRIES: Final = 1_000_000
+"""A recovery ends by its time, not by a number of tries."""
+
+
+def restart_probes(joints: Iterable[Joint], original: Answers) -> list[Item]:
+    """Return for each servo one setting that a restart would change back, if there is one.
+
+    A restart loses all that the session changed, and changes nothing else. So one is enough.
+    """
+    telling: dict[tuple[str, int], Item] = {}
+    for order in changing_orders(joints, original):
+        telling.setdefault((order.bus, order.command.servo_id), order)
+    return list(telling.values())
+
+
+def changing_orders(joints: Iterable[Joint], original: Answers) -> list[Item]:
+    """Return the settings for the show that differ from the original ones."""
+    return not_applied(session_orders(joints, original), original)
+
+
+@dataclass(slots=True)
+class Recovery:
+    """One wait: the player brakes and polls until all of `missing` answer, or gives up."""
+
+    give_up_ns: int
+    missing: list[Joint] = field(default_factory=list)
+
+    def add(self, joints: list[Joint], give_up_ns: int) -> None:
+        """Wait for these, too, and for all until `give_up_ns`."""
+        self.give_up_ns = give_up_ns
+        self.missing += [joint for joint in joints if joint not in self.missing]
+
+    def replace_missing(self, joints: Iterable[Joint]) -> None:
+        """Wait for these only."""
+        self.missing = list(joints)
+
+    def queries(self, original: Answers) -> list[Item]:
+        """Return the queries for their positions, and for the settings that they were sent."""
+        orders = session_orders(self.missing, original)
+        items = [*read_back(orders), *position_queries(self.missing)]
+        return [replace(item, tries=UNLIMITED_TRIES) for item in items]
+
+    def absent(self, answers: Answers) -> list[Joint]:
+        """Return the joints that have not reported their position."""
+        present = standing_deg(self.missing, answers)
+        return [joint for joint in self.missing if joint.name not in present]
+
+    def restarted(self, answers: Answers, original: Answers) -> list[Joint]:
+        """Return the joints that have lost the settings that they were sent."""
+        return [
+            joint
+            for joint in self.missing
+            if not_applied(session_orders([joint], original), answers)
+        ]

@@ -1,0 +1,345 @@
+"""The dialogue with the servos before anything moves.
+
+`Preflight` asks what `checks` lists. An answer that would refuse the robot is asked for again: on a
+bus without checksums a damaged answer can look like a setting. Then it reads the stored settings,
+where they are needed. If bytes came damaged or twice, it looks for servos that share an id
+(`TwinSearch`): their replies overlap. `Examination` is a preflight that the runner can drive.
+
+The same calls as `transactions.Dialogue`; nothing but queries is sent.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from lss_motion.errors import BusError
+from lss_motion.playing.player import checks
+from lss_motion.playing.player.handshake import query, standing_deg
+from lss_motion.playing.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
+from lss_motion.playing.player.transactions import Conversation, Dialogue, Item
+from lss_motion.protocol.constants import Family
+from lss_motion.protocol.framing import Command, encode
+from lss_motion.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+
+    from lss_motion.playing.player.checks import Refusal
+    from lss_motion.playing.player.query_tracker import QueryTracker
+    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.protocol.framing import Reply
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.on_fault import Escalations
+
+AGREEING: Final = 3
+"""So many answers must agree on a line that damages replies before they refuse a robot. Chosen: of
+440 simulated robots with a third of their replies damaged, two equal wrong answers refused 12.
+"""
+ASKED_LEAST: Final = 2
+ASKED_MOST: Final = 8
+"""A servo is asked for its serial number so often, while its answers stay doubtful. Chosen: at
+500000 bps about half of the replies of two servos do not overlap, and each number must come twice.
+One of 100 such pairs is not found."""
+TWIN_SPREAD_NS: Final = 5 * NS_PER_MS
+"""The other servo of an id answers at most so much later: 2 ms (FACTS.md W14), and a margin."""
+
+
+@dataclass(slots=True)
+class _Sample:
+    """What came after one query."""
+
+    texts: list[str] = field(default_factory=list)
+    is_damaged: bool = False
+
+    @property
+    def is_clean(self) -> bool:
+        return len(self.texts) == 1 and not self.is_damaged
+
+
+@dataclass(slots=True)
+class _Window:
+    """The query that is waited for on a bus."""
+
+    joint: Joint
+    until_ns: int
+    garbage: int
+    sample: _Sample = field(default_factory=_Sample)
+
+
+class TwinSearch:
+    """Asks servos for their serial numbers, one at a time, to find several with one id.
+
+    `shared` holds, by bus and id, what they answered. A single answer may be damaged or come twice,
+    so a second servo has shown itself when two numbers came at least twice each. An RC servo on a
+    2IO has no number: there, every query must bring two answers.
+    """
+
+    def __init__(
+        self,
+        joints: Iterable[Joint],
+        lines: Mapping[str, SerialLine],
+        trackers: Mapping[str, QueryTracker],
+    ) -> None:
+        self.shared: dict[tuple[str, int], tuple[str, ...]] = {}
+        self.damaged: set[tuple[str, int]] = set()
+        """Bus and id of servos that sent damaged bytes, and no undamaged answer."""
+        self._lines = lines
+        self._trackers = trackers
+        self._queues: dict[str, deque[Joint]] = {bus: deque() for bus in lines}
+        self._windows: dict[str, _Window] = {}
+        self._samples: dict[tuple[str, int], list[_Sample]] = {}
+        for joint in joints:
+            self._queues[joint.bus].append(joint)
+
+    @property
+    def is_finished(self) -> bool:
+        return not self._windows and not any(self._queues.values())
+
+    def advance(self, now_ns: int) -> None:
+        for bus, queue in self._queues.items():
+            window = self._windows.get(bus)
+            if window is not None and now_ns >= window.until_ns:
+                del self._windows[bus]
+                self._close(window)
+                window = None
+            if window is None and queue and self._lines[bus].free_ns <= now_ns:
+                self._ask(queue[0], now_ns)
+
+    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:  # noqa: ARG002
+        window = self._windows.get(bus)
+        if window is None or reply.servo_id != window.joint.servo_id:
+            return
+        if reply.keyword == _keyword(window.joint):
+            window.sample.texts.append(str(reply.value))
+
+    def next_wakeup_ns(self) -> int | None:
+        wakeups_ns = [window.until_ns for window in self._windows.values()]
+        wakeups_ns += [
+            self._lines[bus].free_ns
+            for bus, queue in self._queues.items()
+            if queue and bus not in self._windows
+        ]
+        return min(wakeups_ns, default=None)
+
+    def _ask(self, joint: Joint, now_ns: int) -> None:
+        line, latency = self._lines[joint.bus], self._trackers[joint.bus].latency(joint.servo_id)
+        arrival_ns = line.send(encode(Command(joint.servo_id, _keyword(joint))), now_ns)
+        wait_ns = latency.latest_ns if latency.is_known else REPLY_TIMEOUT_NS
+        until_ns = arrival_ns + wait_ns + TWIN_SPREAD_NS + line.time_ns(2 * REPLY_MAX_BYTES)
+        self._windows[joint.bus] = _Window(joint, until_ns, line.garbage)
+
+    def _close(self, window: _Window) -> None:
+        """Keep what came after a query; go on with the next servo when this one is clear."""
+        joint, sample = window.joint, window.sample
+        address = (joint.bus, joint.servo_id)
+        line = self._lines[joint.bus]
+        sample.is_damaged = line.garbage > window.garbage or line.has_unfinished
+        samples = self._samples.setdefault(address, [])
+        samples.append(sample)
+        if serials := _two_numbers(joint, samples):
+            self.shared[address] = serials
+        elif len(samples) < ASKED_LEAST or not _is_clear(samples):
+            if len(samples) < ASKED_MOST:
+                return
+            damaged_count = sum(sample.is_damaged for sample in samples)
+            if not any(sample.texts for sample in samples) and damaged_count >= ASKED_LEAST:
+                self.damaged.add(address)
+        self._queues[joint.bus].popleft()
+
+
+def _keyword(joint: Joint) -> str:
+    return "QMS" if joint.model.family is Family.IO2 else "QN"
+
+
+def _is_clear(samples: Sequence[_Sample]) -> bool:
+    """Return whether there is one servo, or none, at an id."""
+    is_silent = not any(sample.texts or sample.is_damaged for sample in samples)
+    is_single = all(sample.is_clean for sample in samples)
+    return is_silent or (is_single and len({sample.texts[0] for sample in samples}) == 1)
+
+
+def _two_numbers(joint: Joint, samples: Sequence[_Sample]) -> tuple[str, ...]:
+    """Return what several servos with one id answered; nothing if there is no proof of a second."""
+    counts = Counter(text for sample in samples for text in sample.texts)
+    if joint.model.family is Family.IO2:
+        is_double = len(samples) == ASKED_MOST and all(len(s.texts) > 1 for s in samples)
+        return tuple(counts) if is_double else ()
+    often = [text for text, count in counts.most_common(2) if count >= ASKED_LEAST]
+    if len(often) < 2 or _is_shortened(*often) or _is_shortened(*reversed(often)):
+        return ()
+    return tuple(often)
+
+
+def _is_shortened(text: str, other: str) -> bool:
+    """Return whether `other` is `text` without one character, as a lost byte leaves it."""
+    return any(text[:place] + text[place + 1 :] == other for place in range(len(text)))
+
+
+class Preflight:
+    """One dialogue with the servos of `joints`; see the module.
+
+    `answers` and `stored` map `(bus, servo id, keyword)` to the present and the stored value.
+    `more` are further queries. With `reads_stored` the stored settings of all servos are read,
+    otherwise only those of servos whose present frame is wrong. `show` are the escalations of the
+    show.
+    """
+
+    def __init__(
+        self,
+        joints: Iterable[Joint],
+        robot: Robot,
+        lines: Mapping[str, SerialLine],
+        trackers: Mapping[str, QueryTracker],
+        *,
+        more: Sequence[Item] = (),
+        led_joints: Container[str] = (),
+        reads_stored: bool = False,
+        show: Escalations | None = None,
+    ) -> None:
+        self.answers: dict[tuple[str, int, str], int | str | None] = {}
+        self.stored: dict[tuple[str, int, str], int | str | None] = {}
+        self.twins: TwinSearch | None = None
+        self._joints = list(joints)
+        self._robot = robot
+        self._lines = lines
+        self._trackers = trackers
+        self._reads_stored = reads_stored
+        self._show = show
+        self._before = {bus: self._disturbances(bus) for bus in lines}
+        items = [*checks.queries(self._joints, led_joints), *more]
+        self._rounds = self._all_rounds(items)
+        self._round: Dialogue | TwinSearch | None = next(self._rounds)
+
+    @property
+    def is_finished(self) -> bool:
+        return self._round is None
+
+    def advance(self, now_ns: int) -> None:
+        """Send what can be sent now."""
+        while self._round is not None:
+            self._round.advance(now_ns)
+            if not self._round.is_finished:
+                return
+            self._round = next(self._rounds, None)
+
+    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
+        if self._round is not None:
+            self._round.receive(bus, reply, now_ns)
+
+    def next_wakeup_ns(self) -> int | None:
+        return None if self._round is None else self._round.next_wakeup_ns()
+
+    def require_own_ids(self) -> None:
+        """Raise `BusError` if several servos answer to the id of a joint."""
+        twins = self.twins
+        for joint in self._joints if twins is not None else ():
+            assert twins is not None
+            address = (joint.bus, joint.servo_id)
+            bus = self._robot.buses[joint.bus]
+            remedy = (
+                f"Connect one of them alone and give it an id of its own: lss-motion configure "
+                f"--port {bus.port} --baud {bus.baud_bps} --id {joint.servo_id} --new-id N"
+            )
+            if address in twins.shared:
+                which = ""
+                if joint.model.family is not Family.IO2:
+                    which = f" (serial numbers {' and '.join(twins.shared[address])})"
+                raise BusError(
+                    f"joint {joint.name!r}: several servos{which} have the id {joint.servo_id} on "
+                    f"bus {joint.bus!r}, and all of them would move. {remedy}",
+                    url=bus.port,
+                )
+            if address in twins.damaged and joint.name not in standing_deg([joint], self.answers):
+                raise BusError(
+                    f"joint {joint.name!r}: every answer of id {joint.servo_id} on bus "
+                    f"{joint.bus!r} is damaged, as when several servos have one id. {remedy}. If "
+                    f"there is only one, check its plug and the baud rate ({bus.baud_bps} bps)",
+                    url=bus.port,
+                )
+
+    # ---- the rounds
+
+    def _all_rounds(self, items: Sequence[Item]) -> Iterator[Dialogue | TwinSearch]:
+        """Yield one dialogue after the other; each is finished when the next is asked for."""
+        first = self._dialogue(items)
+        yield first
+        self.answers |= first.answers
+        disturbed = [j for j in self._joints if self._disturbances(j.bus) > self._before[j.bus]]
+        if disturbed:
+            self.twins = TwinSearch(disturbed, self._lines, self._trackers)
+            yield self.twins
+        if self.twins is not None and self.twins.shared:
+            return
+        if items := [*self._asked_again(self._refusals()), *self._unanswered()]:
+            again = self._dialogue(items)
+            yield again
+            self.answers |= again.answers
+        wrong = {refusal.joint.name for refusal in self._refusals() if refusal.is_frame}
+        joints = [j for j in self._joints if self._reads_stored or j.name in wrong]
+        if joints:
+            stored = self._dialogue(checks.stored_queries(joints))
+            yield stored
+            self.stored |= stored.answers
+        doubtful = [refusal for refusal in self._refusals() if refusal.is_stored]
+        if items := self._asked_again(doubtful):
+            again = self._dialogue(items)
+            yield again
+            self.stored |= again.answers
+
+    def _dialogue(self, items: Iterable[Item]) -> Dialogue:
+        return Dialogue(items, self._lines, self._trackers)
+
+    def _disturbances(self, bus: str) -> int:
+        """Return how many bytes or replies came that belong to no query."""
+        return self._lines[bus].garbage + self._trackers[bus].strays
+
+    def _refusals(self) -> list[Refusal]:
+        present = standing_deg(self._joints, self.answers)
+        joints = [joint for joint in self._joints if joint.name in present]
+        return checks.refusals(joints, self.answers, self.stored, self._robot, self._show)
+
+    def _unanswered(self) -> list[Item]:
+        """Return the queries for angle and frame that a servo left open which answered others.
+
+        It may have restarted in between, which takes longer than all tries of one query.
+        """
+        present = standing_deg(self._joints, self.answers)
+        answering = {address[:2] for address in self.answers}
+        joints = [one for one in self._joints if (one.bus, one.servo_id) in answering]
+        angles = [query(joint, "QD") for joint in joints if joint.name not in present]
+        frames = [
+            item
+            for item in checks.frame_queries(joints)
+            if (item.bus, item.command.servo_id, item.command.keyword) not in self.answers
+        ]
+        return angles + frames
+
+    def _asked_again(self, doubtful: Iterable[Refusal]) -> list[Item]:
+        """Return the queries behind refusals once more; several answers must agree."""
+        items = []
+        for refusal in doubtful:
+            is_disturbed = self._disturbances(refusal.joint.bus) > self._before[refusal.joint.bus]
+            for keyword in refusal.keywords:
+                item = query(refusal.joint, keyword)
+                item = replace(item, agreeing=AGREEING) if is_disturbed else item
+                if refusal.is_stored:
+                    item = replace(item, command=item.command._replace(value=1))
+                items.append(item)
+        return list(dict.fromkeys(items))
+
+
+class Examination(Conversation):
+    """A preflight that the runner can drive by itself, for commands without a show."""
+
+    def __init__(
+        self, joints: Iterable[Joint], robot: Robot, *, reads_stored: bool = False
+    ) -> None:
+        super().__init__((), robot.buses)
+        self.preflight = Preflight(
+            joints, robot, self.lines, self.trackers, reads_stored=reads_stored
+        )
+        self._dialogue = self.preflight

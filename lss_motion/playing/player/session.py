@@ -1,0 +1,491 @@
+"""The servos during one show: their lines, their settings before it, and where they stand.
+
+`Session` belongs to one `Player`. It builds the dialogues and the streamers of the phases, and
+carries what they share: the answers before anything was changed, the positions at rest, the joints
+that are left out, and the estimates that a later streamer takes over. It has no phase and decides
+nothing.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from lss_motion.planning.program.verify import profiles
+from lss_motion.playing.player import checks, handshake
+from lss_motion.playing.player.approach import approach, with_room
+from lss_motion.playing.player.cues import LED_KEYWORD, Agenda, SensorWatch
+from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
+from lss_motion.playing.player.handshake import SettingsDialogue
+from lss_motion.playing.player.health import is_turned
+from lss_motion.playing.player.joint_state import make_joint_states
+from lss_motion.playing.player.preflight import Preflight
+from lss_motion.playing.player.query_choice import BY_NEED
+from lss_motion.playing.player.query_tracker import QueryTracker
+from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.settings_watch import Probe
+from lss_motion.playing.player.streamer import Streamer
+from lss_motion.playing.player.transactions import Dialogue
+from lss_motion.playing.player.unasked import UnaskedWatches
+from lss_motion.protocol.framing import Command, encode
+from lss_motion.robot.model import HALF_TURN_DEG
+from lss_motion.robot.profile import profile_lead_s
+from lss_motion.units import s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Mapping
+
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import Event, Waited
+    from lss_motion.playing.player.handshake import Answers
+    from lss_motion.playing.player.joint_state import JointState
+    from lss_motion.playing.player.query_choice import Pace
+    from lss_motion.playing.player.transactions import Item
+    from lss_motion.robot.model import Joint, Robot
+
+
+UNRESTORED_TEXT: Final = (
+    "stopped at once, so the servos were not given back their settings: {} stay as this show "
+    "needed them until their power is off, and the next show takes them for the servos' own. "
+    "Switch their power off and on, or RESET them; hold the robot, it goes limp"
+)
+
+
+APPROACHES_MAX: Final = 3
+"""Chosen: a move that the line lost is sent again, but a joint that cannot reach its start is not
+pushed for ever."""
+
+
+class Arrival(Enum):
+    """What follows an approach."""
+
+    THERE = auto()
+    AGAIN = auto()
+    ASTRAY = auto()
+
+
+class Session:
+    """The servos of one robot during one show."""
+
+    def __init__(
+        self,
+        program: Program,
+        robot: Robot,
+        *,
+        has_feedback: bool,
+        start_s: float | None,
+        is_forced: bool = False,
+        pace: Pace | None = BY_NEED,
+    ) -> None:
+        self.program = program
+        self.robot = robot
+        self.joints = [robot.joints[name] for name in program.start_deg]
+        self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
+        self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self.unasked = UnaskedWatches(self.lines, self.trackers)
+        self.agenda = Agenda(program, robot)
+        self.agenda.begin_at(start_s)
+        self.led_joints = {name for cue in program.cues for name, _ in cue.led}
+        """Joints whose LED colour is changed, also by later programs."""
+        self.has_feedback = has_feedback
+        self._pace = pace
+        self.is_forced = is_forced
+        """Whether a person accepts what a show without feedback gives up."""
+        self.start_s = start_s
+        self.original: Answers = {}
+        """Answers of every servo before anything was changed."""
+        self.standing_deg: dict[str, float] = {}
+        """Servo angles by joint, as of the last query while nothing moved."""
+        self.watched = SensorWatch(())
+        """Sensors that are polled from the first streamer on."""
+        self.left_out: set[str] = set()
+        """Joints that are sent no move."""
+        self.limp: list[Joint] = []
+        """Joints whose motor has no power until the end."""
+        self.beside: list[Streamer] = []
+        """Streamers of shows that are played beside the present one, on joints of their own."""
+        self._states: dict[str, JointState] = {}
+        """The newest state of each joint, for its estimates."""
+
+    @property
+    def driven(self) -> list[Joint]:
+        return [joint for joint in self.joints if joint.name not in self.left_out]
+
+    @property
+    def lent(self) -> set[str]:
+        """The joints that shows beside the present one move."""
+        return {name for streamer in self.beside for name in streamer.joint_states}
+
+    def leave_out(self, name: str) -> None:
+        """Send a joint no move from now on."""
+        self.left_out.add(name)
+
+    def put_back(self, names: set[str]) -> None:
+        """Send these joints moves again."""
+        self.left_out -= names
+
+    def make_limp(self, joint: Joint, now_ns: int) -> None:
+        """Take the power from one motor, until the end."""
+        self.limp.append(joint)
+        self.lines[joint.bus].send(handshake.limp_bytes(joint), now_ns)
+
+    def halt(self, joint: Joint, now_ns: int) -> None:
+        """Stop one servo where it is, whatever it was sent before."""
+        self.lines[joint.bus].send(encode(Command(joint.servo_id, "H")), now_ns)
+
+    def safe_bytes(self, *, is_limp: bool) -> Mapping[str, bytes]:
+        return handshake.safe_bytes(self.robot, is_limp=is_limp, limp=self.limp)
+
+    # ---- dialogues
+
+    def dialogue(self, items: Iterable[Item]) -> Dialogue:
+        return Dialogue(items, self.lines, self.trackers)
+
+    def preflight(self) -> Preflight:
+        """Return the dialogue before anything is changed: servos, settings, sensors.
+
+        Without feedback the stored limits must be right. What a simulated servo stores tells
+        nothing about a real one, so otherwise it is not asked for it.
+        """
+        is_simulated = all(bus.is_simulated for bus in self.robot.buses.values())
+        return Preflight(
+            self.joints,
+            self.robot,
+            self.lines,
+            self.trackers,
+            more=checks.sensor_queries(self.program, self.robot),
+            led_joints=self.led_joints,
+            reads_stored=not (self.has_feedback and is_simulated),
+            show=self.program.on_fault,
+        )
+
+    def settings_dialogue(self) -> SettingsDialogue:
+        """Return the dialogue that gives the servos their settings and polls their positions."""
+        orders = handshake.session_orders(self.driven, self.original)
+        unconfirmed = handshake.unconfirmed_orders(self.driven, self.original)
+        positions = handshake.position_queries(self.driven)
+        return SettingsDialogue(orders, positions, unconfirmed, self.lines, self.trackers)
+
+    def arrival_dialogue(self) -> Dialogue:
+        """Return the queries after an approach: positions, and whether a servo has restarted."""
+        probes = handshake.restart_probes(self.driven, self.original)
+        return self.dialogue(
+            [*handshake.read_back(probes), *handshake.position_queries(self.driven)]
+        )
+
+    def restoring_dialogue(self) -> Dialogue:
+        """Return the orders that give the servos back their settings."""
+        joints, led_joints = self.joints, self.led_joints
+        return self.dialogue(handshake.restoring_orders(joints, self.original, led_joints))
+
+    # ---- answers
+
+    def note_original(self, preflight: Preflight) -> list[Event]:
+        """Keep what the servos answered before any change; return what a person should know.
+
+        Raises if a servo or a sensor is missing, or a servo must not do what the program requires.
+        """
+        self.original = preflight.answers
+        self.standing_deg = handshake.standing_deg(self.joints, preflight.answers)
+        preflight.require_own_ids()
+        self.unasked.start()
+        return checks.check(
+            self.program,
+            self.robot,
+            self.joints,
+            preflight,
+            self.trackers,
+            self.start_deg(),
+            has_feedback=self.has_feedback,
+            is_forced=self.is_forced,
+        )
+
+    def hold(self, program: Program) -> None:
+        """Let `program`, which is the present one but for the joints that it holds, be it."""
+        self.program = program
+
+    def change(self, program: Program, start_s: float | None) -> None:
+        """Let `program`, which has the same joints, be the next one, from `start_s` on.
+
+        The colours that the program before has given to the lights are taken back.
+        """
+        lit = {name for cue in self.program.cues for name, _ in cue.led}
+        self.program, self.start_s = program, start_s
+        self.agenda = Agenda(program, self.robot)
+        self.agenda.begin_at(start_s)
+        for joint in self.joints:
+            colour = self.original.get((joint.bus, joint.servo_id, f"Q{LED_KEYWORD}"))
+            if joint.name in lit and isinstance(colour, int):
+                self.agenda.light(joint, colour)
+
+    def turned(self, answers: Answers, now_ns: int) -> list[tuple[Joint, float, float]]:
+        """Return joints that are more than half a turn from where they were sent, or stood.
+
+        With each the servo angle that it reports, and the one where it was.
+        """
+        found = []
+        for name, reported_deg in handshake.standing_deg(self.driven, answers).items():
+            state, before_deg = self._states.get(name), self.standing_deg[name]
+            if state is not None:
+                is_elsewhere = is_turned(state, reported_deg, s_from_ns(now_ns))
+                before_deg = state.place(now_ns)[0]
+            else:
+                is_elsewhere = abs(reported_deg - before_deg) > HALF_TURN_DEG
+            joint = self.robot.joints[name]
+            if is_elsewhere and joint.drive != "stepped":
+                found.append((joint, reported_deg, before_deg))
+        return found
+
+    def note_positions(self, answers: Answers) -> list[Joint]:
+        """Keep where the driven servos stand; return those that did not answer."""
+        standing = handshake.standing_deg(self.driven, answers)
+        self.standing_deg |= standing
+        return [joint for joint in self.driven if joint.name not in standing]
+
+    def note_readings(self, streamer: Streamer, since_s: float) -> bool:
+        """Keep where the servos of `streamer`, which rests, have read themselves since `since_s`.
+
+        Return whether all have. For joints that cannot be asked in a dialogue: others move.
+        """
+        missing = 0
+        for name, state in streamer.joint_states.items():
+            load = state.disturbance
+            if state.joint.drive == "stepped":  # It answers with its last command only.
+                self.standing_deg[name] = state.profile.at(since_s)[0]
+            elif load.measured_deg is not None and (load.read_s or 0.0) >= since_s:
+                self.standing_deg[name] = load.measured_deg
+            else:
+                missing += state.is_driven
+        return not missing
+
+    def judge_arrival(
+        self, pose_deg: Mapping[str, float], approaches: int, now_ns: int
+    ) -> tuple[Arrival, str, float]:
+        """Return whether the joints are where they were sent, by where they stand.
+
+        Besides the joint that is furthest away, and by how much. Their loads are learnt.
+        """
+        is_first = approaches == 1
+        if self.has_feedback:
+            # Also before it goes on: what went wrong may have been taken for a load. The first move
+            # may have been lost.
+            within_deg = handshake.ARRIVED_DEG if is_first else OFFSET_MAX_DEG
+            for name in pose_deg:
+                if name in self._states:
+                    self._states[name].learn_droop(self.standing_deg[name], now_ns, within_deg)
+        joint, off_deg = self.furthest(pose_deg)
+        is_uncorrected = self.has_feedback and is_first
+        if off_deg <= (handshake.LOADED_DEG if is_uncorrected else handshake.ARRIVED_DEG):
+            return Arrival.THERE, joint, off_deg
+        if approaches < APPROACHES_MAX:
+            return Arrival.AGAIN, joint, off_deg
+        is_near = off_deg <= self.robot.joints[joint].following_deg
+        return Arrival.THERE if is_near else Arrival.ASTRAY, joint, off_deg
+
+    def restarted(self, answers: Answers) -> list[Joint]:
+        """Return the driven servos that no longer have the settings that they were sent."""
+        return self._with_other_settings(answers, has_reported=True)
+
+    def unreported(self, answers: Answers) -> list[Joint]:
+        """Return the driven servos that did not report whether they still have them."""
+        return self._with_other_settings(answers, has_reported=False)
+
+    def _with_other_settings(self, answers: Answers, *, has_reported: bool) -> list[Joint]:
+        probes = handshake.restart_probes(self.driven, self.original)
+        others = {
+            (order.bus, order.command.servo_id)
+            for order in handshake.not_applied(probes, answers)
+            if handshake.is_answered(order, answers) is has_reported
+        }
+        return [joint for joint in self.driven if (joint.bus, joint.servo_id) in others]
+
+    def unrestored_text(self) -> str:
+        """Return a warning about settings that are not given back; empty if none was changed."""
+        orders = handshake.changing_orders(self.joints, self.original)
+        words = ", ".join(sorted({order.command.keyword for order in orders}))
+        return UNRESTORED_TEXT.format(words) if words else ""
+
+    # ---- places
+
+    def start_deg(self) -> dict[str, float]:
+        """Return the joint angles at which the show begins, also in its middle."""
+        return self.start_of(self.program, self.start_s)
+
+    def start_of(self, program: Program, start_s: float | None) -> dict[str, float]:
+        """Return the joint angles of the horns at `start_s` of a program, or at its beginning.
+
+        Its profiles are early by the lead of each joint (`Streamer.planned_deg`).
+        """
+        if start_s is None:
+            return dict(program.start_deg)
+        pose_deg = {}
+        for name, plan in profiles(program, self.robot).items():
+            joint = self.robot.joints[name]
+            plan_s = program.within(start_s - profile_lead_s(joint))
+            pose_deg[name] = joint.joint_deg(plan.at(plan_s)[0])
+        return pose_deg
+
+    def pose_deg(self, show: Streamer | None, now_ns: int) -> dict[str, float]:
+        """Return the angles of the driven joints from which the show begins, or goes on."""
+        pose_deg, lent = self.start_deg() if show is None else show.pose_deg(now_ns), self.lent
+        return {n: pose_deg[n] for n in (joint.name for joint in self.driven) if n not in lent}
+
+    def furthest(self, pose_deg: Mapping[str, float]) -> tuple[str, float]:
+        """Return the driven joint that stands furthest from `pose_deg`, and its distance in deg."""
+        return max(
+            (
+                (name, abs(self.robot.joints[name].servo_deg(angle) - self.standing_deg[name]))
+                for name, angle in pose_deg.items()
+            ),
+            key=lambda far: far[1],
+            default=("", 0.0),
+        )
+
+    def _commanded_deg(self, now_ns: int) -> dict[str, float]:
+        """Return the servo angles to which the last moves sent the servos."""
+        return {name: state.place(now_ns)[0] for name, state in self._states.items()}
+
+    def note_wait(self, streamer: Streamer) -> list[Waited]:
+        """Return what a streamer has waited for; the agenda goes back where the show did."""
+        if (back_at_s := streamer.take_way_back()) is not None:
+            self.agenda.go_back(back_at_s)
+        return streamer.waiting.take_notices()
+
+    # ---- streamers
+
+    def approach(
+        self, pose_deg: Mapping[str, float], now_ns: int, *, is_beside: bool = False
+    ) -> Streamer:
+        """Return the streamer that takes these joints from where they stand to `pose_deg`.
+
+        `is_beside`: while a show moves the other joints.
+        """
+        program = approach(self.robot, self.standing_deg, pose_deg)
+        streamer = self._stream(program, self.standing_deg, now_ns, is_beside=is_beside)
+        for state in streamer.joint_states.values():
+            state.limit_speed(self.robot.approach_speed_deg_s)
+        return streamer
+
+    def begin(self, start_ns: int, *, is_open: bool) -> Streamer:
+        """Return the show, which starts at `start_ns` with every joint at its start.
+
+        The servos stand where they were sent: at the start, corrected for their load.
+        """
+        show = self._begin(self.program, self.start_s, start_ns)
+        if is_open:
+            show.keep_open()
+        return show
+
+    def begin_beside(self, program: Program, start_s: float | None, start_ns: int) -> Streamer:
+        """Return a show that starts beside the present one, on joints of its own."""
+        return self._begin(program, start_s, start_ns, is_beside=True)
+
+    def _begin(
+        self, program: Program, start_s: float | None, start_ns: int, *, is_beside: bool = False
+    ) -> Streamer:
+        start_deg, joints = self.start_of(program, start_s), self.robot.joints
+        standing = {name: joints[name].servo_deg(deg) for name, deg in start_deg.items()}
+        commanded = self._commanded_deg(start_ns)
+        standing |= {name: commanded[name] for name in standing if name in commanded}
+        return self._stream(program, standing, start_ns, start_s, is_beside=is_beside)
+
+    def take_back(self, streamer: Streamer, now_ns: int) -> dict[str, JointState]:
+        """Return states for joints that `streamer` has moved beside a show, and that rest now.
+
+        With them, the present show holds these joints where they stand.
+        """
+        program = replace(
+            self.program, start_deg=streamer.pose_deg(now_ns), moves=(), repeat=None, cues=()
+        )
+        commanded = self._commanded_deg(now_ns)
+        states = make_joint_states(
+            program,
+            with_room(self.robot, commanded),
+            commanded,
+            s_from_ns(now_ns),
+            has_feedback=self.has_feedback,
+            ranges_deg={n: self.robot.joints[n].servo_range_deg for n in program.start_deg},
+        )
+        for name, state in states.items():
+            before = self._states[name]
+            state.firmware, state.is_driven = before.firmware, before.is_driven
+            state.take_over(before)
+            if before.in_doubt:
+                state.hold_back()
+            self._states[name] = state
+            self.standing_deg[name] = commanded[name]
+        return states
+
+    def note_standing(self, now_ns: int) -> None:
+        """Keep where the last moves have sent the servos, which have braked since."""
+        self.standing_deg |= self._commanded_deg(now_ns)
+
+    def seek(self, show: Streamer | None, show_s: float, now_ns: int) -> None:
+        """Let the show, which stands or has not begun, go on from `show_s`."""
+        self.agenda.begin_at(show_s)
+        if show is None:
+            self.start_s = show_s
+            return
+        show.jump_to(show_s, now_ns)
+
+    def resume(self, show: Streamer, now_ns: int) -> None:
+        """Go on with `show` from where the approach sent the servos, with its estimates."""
+        commanded = self._commanded_deg(now_ns)
+        show.resume({n: commanded[n] for n in show.joint_states if n in commanded}, self.left_out)
+        self._take_over(show)
+
+    def _stream(
+        self,
+        program: Program,
+        standing_deg: Mapping[str, float],
+        now_ns: int,
+        start_s: float | None = None,
+        *,
+        is_beside: bool = False,
+    ) -> Streamer:
+        streamer = Streamer(
+            program,
+            self.robot,
+            lines=self.lines,
+            trackers=self.trackers,
+            standing_deg=standing_deg,
+            has_feedback=self.has_feedback,
+            start_ns=now_ns,
+            start_s=start_s,
+            probes=self._probes(),
+            pace=self._pace,
+            beside=() if is_beside else self.beside,
+            is_polling=not is_beside,
+        )
+        if streamer.scheduler is not None:
+            streamer.scheduler.watched = self.watched
+        streamer.leave_out(self.left_out)
+        self._take_over(streamer, () if is_beside else self.lent)
+        return streamer
+
+    def _probes(self) -> dict[str, list[Probe]]:
+        """Return by joint what shows whether its servo has restarted."""
+        names = {(joint.bus, joint.servo_id): joint.name for joint in self.driven}
+        probes: dict[str, list[Probe]] = {}
+        for order in handshake.changing_orders(self.driven, self.original):
+            servo, keyword = (order.bus, order.command.servo_id), f"Q{order.command.keyword}"
+            original = self.original.get((*servo, keyword))
+            if isinstance(order.command.value, int) and isinstance(original, int):
+                probe = Probe(keyword, order.command.value, original)
+                probes.setdefault(names[servo], []).append(probe)
+        return probes
+
+    def _take_over(self, streamer: Streamer, lent: Container[str] = ()) -> None:
+        """Give the joints of `streamer` the estimates of the streamer before it.
+
+        Another streamer moves the joints `lent`.
+        """
+        for name, state in streamer.joint_states.items():
+            if name in lent:
+                continue
+            state.firmware = checks.reported_firmware(state.joint, self.original)
+            if name in self._states:
+                state.take_over(self._states[name])
+            self._states[name] = state

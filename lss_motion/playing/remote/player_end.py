@@ -1,0 +1,352 @@
+"""The player's end: applies what clients ask for, and sends what happens.
+
+`Steering` is the controls and the observer of one run (`playing.perform.Observer`). It never waits,
+and a client that floods it, or does not read, changes no move (`operator_end`): the rate is changed
+at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Literal
+
+from msgspec import Struct
+
+from lss_motion.errors import InputError
+from lss_motion.playing.player import events
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.protocol.constants import Led
+from lss_motion.system.messages import Kind
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lss_motion.playing.player.following import Following
+    from lss_motion.playing.player.joint_state import JointState
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.player.streamer import Streamer
+    from lss_motion.playing.remote.operator_end import Operator
+
+OnLost = Literal["stop", "hold", "go_on"]
+"""What the player does when its operator is lost."""
+
+TELEMETRY_NS: Final = 25 * NS_PER_MS
+HEALTH_NS: Final = NS_PER_S // 4
+ROOM_NS: Final = 3 * NS_PER_MS
+"""Nothing is sent to the client within this time before a move is due (as `cli.display`)."""
+OVERDUE_NS: Final = NS_PER_S // 4
+"""Telemetry that is later than this is sent in any case. Of 18 joints it takes a millisecond or two
+on a busy computer (measured), so it must not be often."""
+RATE_EVERY_NS: Final = 100 * NS_PER_MS
+"""The newest wish for a rate is applied this long after the one before. A ramp takes three times
+as long; more changes a second would only fill the line with moves."""
+
+
+class LossRule(Struct, frozen=True):
+    """When the operator counts as lost, and what is done then.
+
+    `silent_s`: without a message for so long; None: only when the link is closed.
+    """
+
+    on_lost: OnLost = "stop"
+    silent_s: float | None = None
+
+
+class Steering:
+    """One client that steers one run. Its methods are the callbacks of `playing.perform.Observer`."""
+
+    def __init__(
+        self,
+        operator: Operator,
+        rule: LossRule | None = None,
+        *,
+        following: Following | None = None,
+    ) -> None:
+        """Steer by what `operator` asks for; with `following`, the show follows its legs."""
+        self.operator = operator
+        self._following = following
+        self._rule = rule or LossRule()
+        self._is_lost = self._has_stopped = False
+        self._rate, self._is_paused = 1.0, False
+        self._applied = (1.0, False)
+        self._rated_ns = -RATE_EVERY_NS
+        self._telemetry_ns = self._health_ns = 0
+        self._shown_s = 0.0
+        self._plan = b""
+        self._use: dict[str, tuple[int, int, int]] = {}
+
+    # ---- controls
+
+    def filenos(self) -> Sequence[int]:
+        """Return what ends a wait."""
+        return self.operator.filenos()
+
+    def act(self, player: Player, now_ns: int) -> None:
+        """Apply what has arrived since the last call, stops first."""
+        if signals := self.operator.take_signals():
+            self._obey_signals(player, now_ns, signals)
+        for operation in self.operator.take(now_ns):
+            try:
+                self._apply(operation, player, now_ns)
+            except InputError as refused:
+                self.operator.refuse(operation, str(refused))
+            else:
+                self.operator.accept(operation)
+        self._apply_rate(player, now_ns)
+        self._watch(player, now_ns)
+        if self._following is not None and not self._has_stopped:
+            self._following.turn(player, now_ns)
+            for text in self._following.take_texts():
+                self.operator.send(m.Warned(text=text))
+
+    def _obey_signals(self, player: Player, now_ns: int, count: int) -> None:
+        """Brake at the first signal, end at the second one."""
+        if not self._has_stopped:
+            self._stop(player, now_ns)
+            count -= 1
+        if count:
+            player.abort(now_ns)
+
+    def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
+        match operation:
+            case m.Estop():
+                self._has_stopped = True
+                player.abort(now_ns)
+            case m.Stop():
+                self._stop(player, now_ns)
+            case m.Beat():
+                pass
+            case _ if self._has_stopped or player.is_finished:
+                raise InputError("the show has been stopped; start it again")
+            case m.Follow():
+                self._lead(operation, now_ns)
+            case m.Rate() | m.Seek() if self._following is not None:
+                raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
+            case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
+                self._steer(operation, player, now_ns)
+            case _:
+                raise InputError(f"{operation.op} is no operation on a running show")
+
+    def _steer(self, operation: m.ShowOperation, player: Player, now_ns: int) -> None:
+        """Apply an operation that ends nothing."""
+        match operation:
+            case m.Go():
+                if player.phase is not Phase.READY:
+                    raise InputError("go is for a robot that was checked and waits: not now")
+                player.go()
+            case m.Pause():
+                self._is_paused = True
+            case m.Resume():
+                self._is_paused = False
+            case m.Rate():
+                self._rate = operation.ratio
+            case m.Seek():
+                player.seek(operation.to, now_ns)
+
+    def _lead(self, operation: m.Follow, now_ns: int) -> None:
+        if self._following is None:
+            raise InputError("the show was not started to follow a leader")
+        leg = Leg(operation.instant_ns, operation.show_s, operation.rate)
+        self._following.lead(leg, now_ns)
+
+    def _stop(self, player: Player, now_ns: int) -> None:
+        """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""
+        if not self._has_stopped:
+            self._has_stopped = True
+            player.stop(now_ns)
+
+    def _apply_rate(self, player: Player, now_ns: int) -> None:
+        """Set the newest rate that was asked for, unless the last change was just now."""
+        wish = (self._rate, self._is_paused)
+        if wish == self._applied or now_ns < self._rated_ns + RATE_EVERY_NS:
+            return
+        if self._has_stopped or player.is_finished:
+            return
+        self._applied, self._rated_ns = wish, now_ns
+        if self._following is None:
+            player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+        else:
+            self._following.set_paused(is_paused=self._is_paused)
+        self.operator.send(m.RateChanged(ratio=self._rate, is_paused=self._is_paused))
+
+    # ---- a lost operator
+
+    def _watch(self, player: Player, now_ns: int) -> None:
+        """Do what the rule says when the operator is gone, and when it is back."""
+        if not self.operator.is_lost(now_ns, self._rule.silent_s):
+            self._is_lost = False
+            return
+        if self._has_stopped or player.is_finished:
+            return
+        # Without a link the show can never be stopped, started or resumed by a client.
+        is_stuck = self.operator.is_cut and (
+            player.program.is_endless
+            or player.phase is Phase.READY
+            or self._is_paused
+            or self._rule.on_lost == "hold"
+        )
+        if self._rule.on_lost == "stop" or is_stuck:
+            self._stop(player, now_ns)
+        elif self._rule.on_lost == "hold" and not self._is_lost:
+            self._is_paused = True
+        self._is_lost = True
+
+    # ---- observer
+
+    def on_event(self, event: events.Event) -> None:
+        """Send what happened."""
+        if (message := message_of(event)) is not None:
+            self.operator.send(message)
+
+    def on_turn(self, player: Player, now_ns: int) -> None:
+        """Send telemetry and health if they are due, and no move is."""
+        operator = self.operator
+        if operator.is_cut:
+            return
+        if now_ns < min(self._telemetry_ns, self._health_ns) and not operator.link.is_full:
+            return
+        is_overdue = now_ns > self._telemetry_ns + OVERDUE_NS
+        if player.is_due_within(ROOM_NS, now_ns) and not is_overdue:
+            return
+        operator.link.flush()
+        if now_ns >= self._telemetry_ns:
+            self._telemetry_ns = now_ns + TELEMETRY_NS
+            operator.look_for_client()
+            moving = player.moving
+            if moving is not None and not operator.link.is_full:
+                self._offer_telemetry(player, moving, now_ns)
+        if now_ns >= self._health_ns:
+            self._health_ns = now_ns + HEALTH_NS
+            if not operator.link.is_full:
+                operator.offer(self._health(player, now_ns))
+
+    def start(self, message: m.Started) -> None:
+        """Send the first event, and keep the name of the plan for the telemetry."""
+        self._plan = bytes.fromhex(message.plan)
+        self.operator.send(message)
+
+    def end(self, message: m.Ended) -> None:
+        """Send the last event."""
+        self.operator.send(message)
+
+    def _offer_telemetry(self, player: Player, moving: Streamer, now_ns: int) -> None:
+        """Send the angles; on the way to a show, its clock stands where the last one was."""
+        planned, states = moving.all_pose_deg(now_ns), moving.all_states()
+        names = player.program.start_deg
+        if any(name not in states for name in names):
+            return  # An approach does not lead joints that are left out.
+        angles = [(planned[name], *_seen_deg(states[name], now_ns)) for name in names]
+        rate = 0.0
+        if player.show is not None:
+            rate, self._shown_s = player.show.clock.rate(now_ns), player.show.show_s(now_ns)
+        telemetry = Telemetry(self._plan, self._shown_s, rate, angles)
+        self.operator.link.offer(Kind.TELEMETRY, telemetry.to_bytes())
+
+    def _health(self, player: Player, now_ns: int) -> m.Health:
+        show = player.show
+        states = {} if show is None else show.all_states()
+        return m.Health(
+            phase=player.phase.value,
+            show_s=None if show is None else show.show_s(now_ns),
+            rate=1.0 if show is None else show.clock.rate(now_ns),
+            is_paused=player.is_paused,
+            late_us=0 if show is None else max(show.statistics.latest_ns, default=0) // NS_PER_US,
+            missed=0 if show is None else show.statistics.missed,
+            joints={name: _joint_health(state) for name, state in states.items()},
+            buses=self._bus_use(player, now_ns),
+        )
+
+    def _bus_use(self, player: Player, now_ns: int) -> dict[str, m.BusHealth]:
+        """Return the use of each line since the last call."""
+        found = {}
+        for name, line in player.lines.items():
+            replies = player.trackers[name].reply_count
+            then_ns, then_bytes, then_replies = self._use.get(name, (now_ns, 0, 0))
+            self._use[name] = (now_ns, line.sent_bytes, replies)
+            if now_ns > then_ns:
+                use_ratio = line.time_ns(line.sent_bytes - then_bytes) / (now_ns - then_ns)
+                replies_hz = (replies - then_replies) * NS_PER_S / (now_ns - then_ns)
+                found[name] = m.BusHealth(
+                    use_ratio=round(use_ratio, 3), replies_hz=round(replies_hz, 1)
+                )
+        return found
+
+
+def _seen_deg(state: JointState, now_ns: int) -> tuple[float, float]:
+    """Return the predicted and the last measured angle of a joint."""
+    measured_deg = state.disturbance.measured_deg
+    read_deg = math.nan if measured_deg is None else state.joint.joint_deg(measured_deg)
+    return state.joint.joint_deg(state.predicted_deg(now_ns)), read_deg
+
+
+def _joint_health(state: JointState) -> m.JointHealth:
+    disturbance, sense = state.disturbance, state.joint.direction
+    is_read = disturbance.measured_deg is not None
+    return m.JointHealth(
+        status=None if state.status is None else state.status.value,
+        temperature_c=state.temperature_max_c,
+        voltage_v=state.voltage_min_v,
+        current_a=state.current_max_a,
+        error_deg=round(sense * disturbance.error_deg, 3) if is_read else None,
+        correction_deg=round(sense * disturbance.offset_deg, 3),
+        allowed_deg=state.joint.following_deg,
+    )
+
+
+def message_of(event: events.Event) -> m.Message | None:
+    """Return the message of an event of the player; None: it is not for clients."""
+    match event:
+        case events.PhaseEntered():
+            return m.PhaseChanged(phase=event.phase.value)
+        case events.Warned():
+            return m.Warned(text=event.text)
+        case events.MarkPassed():
+            return m.MarkPassed(label=event.label, at_s=event.show_s) if event.label else None
+        case events.CueReached() | events.ShowBegan() | events.ShowOver():
+            return _show_message(event)
+        case events.Noted():
+            return None
+        case events.Waited():
+            return m.Waited(text=event.text, state=event.state)
+        case events.Faulted():
+            return m.Faulted(
+                joint=event.joint,
+                cause=event.cause,
+                kind=event.kind.value,
+                step=event.step.value,
+            )
+        case events.Checked():
+            return m.Checked(servos=len(event.servos), notes=event.notes)
+
+
+def _show_message(event: events.CueReached | events.ShowBegan | events.ShowOver) -> m.Message:
+    if isinstance(event, events.CueReached):
+        return _cue_message(event)
+    if isinstance(event, events.ShowBegan):
+        return m.ShowStarted(name=event.name, from_s=event.from_s, is_added=event.is_added)
+    one = event.summary
+    return m.ShowEnded(
+        name=one.name,
+        outcome=one.outcome,
+        is_added=one.is_added,
+        reached_s=one.reached_s,
+        lasted_s=s_from_ns(one.ended_ns - one.began_ns),
+        missed=one.missed,
+        error_max_deg=max((joint.error_max_deg for joint in one.joints.values()), default=0.0),
+    )
+
+
+def _cue_message(event: events.CueReached) -> m.CueReached:
+    cue, at_s = event.cue, event.show_s
+    if cue.sound:
+        return m.CueReached(kind="sound", text=cue.sound, at_s=at_s)
+    if cue.run:
+        return m.CueReached(kind="run", text=cue.run, at_s=at_s)
+    if cue.led:
+        colours = ", ".join(f"{joint} {Led(code).name.lower()}" for joint, code in cue.led)
+        return m.CueReached(kind="led", text=colours, at_s=at_s)
+    return m.CueReached(kind="say", text=cue.say, at_s=at_s)

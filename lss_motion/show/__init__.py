@@ -1,0 +1,16 @@
+"""sequence.yaml ⇄ `Sequence`: keyframes, play lists, layers and events as an author writes them.
+
+===========  =====================================================  ===============================
+file         what it is                                             called by
+===========  =====================================================  ===============================
+`model`      the values: `Sequence`, `Keyframe`, `Layer`, `Cue`, …  every package above
+`file`       the keys of a sequence file, their units and bounds    `load`, `show.gait.file`
+`load`       file → `Sequence`, with its robot; its JSON Schema     `api`, `cli`
+`keyframes`  the keyframes of one track; a sequence at a speed      `load`, `parts`, `trajectory`
+`beats`      `at_beat` of a keyframe → the time of that beat         `load`
+`functions`  Python functions of a show, looked up and not run      `load`, `runtime`, `cli`
+`parts`      steps of a play list, layers; a mirrored sequence      `load`
+`check`      what robot and sequence must agree on; what loops      `load`, `cli`, `interchange`
+`write`      `Sequence` → file that a person can edit               `cli`
+===========  =====================================================  ===============================
+"""

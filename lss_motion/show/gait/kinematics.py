@@ -1,0 +1,240 @@
+"""Kinematics: joint angles ⇄ foot of a leg in closed form, and body and feet at instants.
+
+Kinematic angles of a coxa-femur-tibia leg, all 0 with coxa and femur level and the tibia straight
+down: the coxa turns counter-clockwise seen from above, positive femur angles lift the knee,
+positive tibia angles stretch the leg outwards. The knee is above the line from hip to foot, and
+the leg never reaches across its own first axis.
+
+Kinematic angles of an abduction-thigh-shank leg, all 0 with a straight leg hanging down: positive
+abduction swings the foot outwards, positive thigh and shank angles swing it forward, the shank's
+counted from the thigh. `Leg.knee` gives the side of the knee.
+
+`Stance` has body and feet over the ground, and measures how stable they are.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, assert_never
+
+import numpy as np
+from msgspec import Struct
+
+from lss_motion.errors import InputError
+from lss_motion.show.gait.model import LegKind
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lss_motion.show.gait.model import Leg
+
+    FloatArray = NDArray[np.float64]
+
+
+REACH_SLACK_MM: Final = 1e-6
+"""A foot this far beyond the reach counts as within: rounding."""
+
+SAME_POINT_MM: Final = 1e-9
+"""A foot this far outside of an edge through it counts as on the edge: rounding."""
+
+
+def neutral_mm(leg: Leg) -> FloatArray:
+    """Return the position of the standing foot below the body: x, y."""
+    outward = leg.stance_mm * _axes(leg)[0 if leg.kind is LegKind.COXA else 1]
+    return np.asarray(leg.hip_mm + outward[:2], dtype=np.float64)
+
+
+def forward(leg: Leg, joint_deg: FloatArray) -> FloatArray:
+    """Return the foot in the body, (n, 3) mm, for joint angles, (n, 3)."""
+    kinematic_deg = joint_deg / np.array(leg.direction) + np.array(leg.zero_deg)
+    first, second, third = np.radians(kinematic_deg).T
+    one, two, three = leg.lengths_mm
+    match leg.kind:
+        case LegKind.COXA:
+            shank = second + third - 0.5 * np.pi
+            reach = one + two * np.cos(second) + three * np.cos(shank)
+            up = two * np.sin(second) + three * np.sin(shank)
+            local = np.stack([reach * np.cos(first), reach * np.sin(first), up], axis=1)
+        case LegKind.ABDUCTION:
+            ahead = two * np.sin(second) + three * np.sin(second + third)
+            down = two * np.cos(second) + three * np.cos(second + third)
+            outward = one * np.cos(first) + down * np.sin(first)
+            up = one * np.sin(first) - down * np.cos(first)
+            local = np.stack([ahead, outward, up], axis=1)
+        case _:
+            assert_never(leg.kind)
+    return local @ _axes(leg) + _hip(leg)
+
+
+def inverse(leg: Leg, foot_mm: FloatArray) -> FloatArray:
+    """Return the joint angles, (n, 3) degrees, that put the foot at points of the body, (n, 3).
+
+    Raises `InputError` with leg, point and distance for the point that is furthest out of reach.
+    Ranges of joints are not checked here.
+    """
+    kinematic, excess_mm = _solve(leg, foot_mm)
+    worst = int(np.argmax(np.abs(excess_mm)))
+    if abs(excess_mm[worst]) > REACH_SLACK_MM:
+        x, y, z = foot_mm[worst]
+        side = "too far out" if excess_mm[worst] > 0.0 else "too close"
+        raise InputError(
+            f"leg {leg.name!r} cannot reach the foot point x {x:.1f}, y {y:.1f}, z {z:.1f} mm of "
+            f"the body: it is {abs(excess_mm[worst]):.1f} mm {side}"
+        )
+    return np.asarray((np.degrees(kinematic) - np.array(leg.zero_deg)) * np.array(leg.direction))
+
+
+def reach_excess_mm(leg: Leg, foot_mm: FloatArray) -> FloatArray:
+    """Return how far points of the body, (n, 3), are too far (+) or too close (-); 0: in reach."""
+    return _solve(leg, foot_mm)[1]
+
+
+def _solve(leg: Leg, foot_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return kinematic angles in rad and the excess; angles are valid where that is 0."""
+    local = (foot_mm - _hip(leg)) @ _axes(leg).T
+    match leg.kind:
+        case LegKind.COXA:
+            return _coxa(leg, local)
+        case LegKind.ABDUCTION:
+            return _abduction(leg, local)
+        case _:
+            assert_never(leg.kind)
+
+
+def _coxa(leg: Leg, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+    one, two, three = leg.lengths_mm
+    x, y, z = local.T
+    reach = np.hypot(x, y) - one
+    bend, excess_mm = _knee(two, three, reach, z)
+    lifted = np.arctan2(z, reach) + np.arctan2(three * np.sin(bend), two + three * np.cos(bend))
+    # The bend counts from the stretched leg, the tibia's angle from the right angle.
+    tibia = 0.5 * np.pi - bend
+    return np.stack([np.arctan2(y, x), _wrapped(lifted), tibia], axis=1), excess_mm
+
+
+def _abduction(leg: Leg, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+    one, two, three = leg.lengths_mm
+    ahead, outward, up = local.T
+    aside = np.hypot(outward, up)
+    down = np.sqrt(np.maximum(aside**2 - one**2, 0.0))
+    bend, excess_mm = _knee(two, three, ahead, down)
+    bend = bend if leg.knee == "back" else -bend
+    abducted = np.arctan2(outward, -up) - np.arctan2(one, down)
+    thigh = np.arctan2(ahead, down) - np.arctan2(three * np.sin(bend), two + three * np.cos(bend))
+    excess_mm = np.where(aside < one - REACH_SLACK_MM, aside - one, excess_mm)
+    return np.stack([_wrapped(abducted), _wrapped(thigh), bend], axis=1), excess_mm
+
+
+def _knee(
+    two: float, three: float, along: FloatArray, across: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the bend of the knee (0: straight), and how far out of reach the foot is."""
+    distance = np.hypot(along, across)
+    cosine = (distance**2 - two**2 - three**2) / (2.0 * two * three)
+    far, near = distance - (two + three), distance - abs(two - three)
+    excess_mm = np.where(far > 0.0, far, np.where(near < 0.0, near, 0.0))
+    return np.arccos(np.clip(cosine, -1.0, 1.0)), excess_mm
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Return the angle wrapped to ±180 degrees, in rad."""
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _hip(leg: Leg) -> FloatArray:
+    return np.array([*leg.hip_mm, 0.0])
+
+
+def _axes(leg: Leg) -> FloatArray:
+    """Return the axes of the leg's own frame as rows, in the body.
+
+    A coxa leg has its x outwards; an abduction leg has x forward and y outwards, which mirrors the
+    right side, so that equal angles mean the same on both.
+    """
+    if leg.kind is LegKind.ABDUCTION:
+        return np.diag([1.0, np.sign(leg.hip_mm[1]), 1.0])
+    yaw = np.radians(leg.yaw_deg)
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Stance(Struct, frozen=True, kw_only=True):
+    """Body and feet at n instants, over a ground whose origin is below the body's start.
+
+    `places`: x, y in mm and heading in rad, (n, 3). `shift_mm`: the body over that place, up from
+    the ground, (n, 3), and `tilt_deg`: its tilt there, (n, 3). `feet_mm`: on or over the ground,
+    (n, legs, 3). `is_down`: which feet stand, (n, legs).
+    """
+
+    places: FloatArray
+    shift_mm: FloatArray
+    tilt_deg: FloatArray
+    feet_mm: FloatArray
+    is_down: NDArray[np.bool_]
+
+    def feet_in_body(self) -> FloatArray:
+        """Return the feet in the frame of the body, (n, legs, 3)."""
+        relative = self.feet_mm.copy()
+        relative[:, :, :2] -= self.places[:, None, :2]
+        relative = _rotated(relative, _rotation(2, -self.places[:, 2])) - self.shift_mm[:, None, :]
+        roll, pitch, yaw = np.radians(self.tilt_deg).T
+        for axis, angle in ((2, yaw), (1, pitch), (0, roll)):
+            relative = _rotated(relative, _rotation(axis, -angle))
+        return relative
+
+    def centre_mm(self) -> FloatArray:
+        """Return the point of the ground below the body's centre, (n, 2)."""
+        shift = np.zeros((len(self.places), 1, 3))
+        shift[:, 0, :2] = self.shift_mm[:, :2]
+        turned = _rotated(shift, _rotation(2, self.places[:, 2]))[:, 0, :2]
+        return np.asarray(self.places[:, :2] + turned)
+
+    def margin_mm(self) -> FloatArray:
+        """Return the stability margin, (n,): how far the centre is inside of the standing feet.
+
+        It is the distance to the nearest edge of their polygon; negative outside of it, and where
+        fewer than three feet stand.
+        """
+        centre = self.centre_mm()
+        margin = np.full(len(centre), -np.inf)
+        groups, group = np.unique(self.is_down, axis=0, return_inverse=True)
+        for index, down in enumerate(groups):
+            chosen = np.flatnonzero(group.ravel() == index)
+            feet = self.feet_mm[chosen][:, down, :2]
+            margin[chosen] = _margin(feet, centre[chosen])
+        return margin
+
+
+def _margin(feet: FloatArray, centre: FloatArray) -> FloatArray:
+    """Return the distance to the nearest edge, a line with all feet to its left."""
+    if feet.shape[1] == 0:
+        return np.full(len(centre), -np.inf)
+    if feet.shape[1] == 1:
+        return np.asarray(-np.hypot(*(feet[:, 0] - centre).T))
+    edges = feet[:, None, :, :] - feet[:, :, None, :]
+    lengths = np.hypot(edges[..., 0], edges[..., 1])
+    is_pair = lengths > SAME_POINT_MM
+    units = edges / np.where(is_pair, lengths, 1.0)[..., None]
+
+    def left_of(points: FloatArray) -> FloatArray:
+        ahead = points[:, None, None, :] - feet[:, :, None, :]
+        return np.asarray(units[..., 0] * ahead[..., 1] - units[..., 1] * ahead[..., 0])
+
+    is_edge = is_pair
+    for other in range(feet.shape[1]):
+        is_edge = is_edge & (left_of(feet[:, other]) >= -SAME_POINT_MM)
+    return np.asarray(np.where(is_edge, left_of(centre), np.inf).min(axis=(1, 2)))
+
+
+def _rotation(axis: int, angle: FloatArray) -> FloatArray:
+    """Return the rotations about one axis, (n, 3, 3)."""
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotation = np.zeros((len(angle), 3, 3))
+    rotation[:, axis, axis] = 1.0
+    rotation[:, first, first] = rotation[:, second, second] = np.cos(angle)
+    rotation[:, second, first] = np.sin(angle)
+    rotation[:, first, second] = -rotation[:, second, first]
+    return rotation
+
+
+def _rotated(points: FloatArray, rotation: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("nij,nlj->nli", rotation, points))

@@ -1,0 +1,253 @@
+"""Examine a whole stage before the doors open: `lss-motion doctor --stage STAGE.yaml`.
+
+It is run on the conductor's computer, while the other figures are served. It asks every figure to
+examine its own computer and servos (`lss-motion doctor ROBOT`), and compares versions, robot files
+and clocks. Nothing moves. If the conductor is served, it is the one that asks (`Examining`), and
+the doctor gets what it has found (`examined_by_conductor`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import secrets
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from lss_motion.errors import BusError, InputError
+from lss_motion.stage.hosts.clocks import REFUSE_NS, WARN_NS
+from lss_motion.stage.hosts.messages import Ask, Examined, Finding, Findings, packed, parse
+from lss_motion.stage.hosts.plans import robot_hash
+from lss_motion.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.stage.hosts.conductor import Conductor, FigureSeat
+    from lss_motion.stage.hosts.figure import Figure
+    from lss_motion.stage.hosts.settings import NetworkSettings
+
+WAIT_S: Final = 30.0
+"""Figures that have not examined themselves by then are named as they are."""
+DOCTOR_S: Final = 25.0
+DONE_S: Final = 5.0
+"""A conductor that is served has answered so long after it has given up a figure."""
+DISK_MIN_BYTES: Final = 200_000_000
+"""Chosen: a night of logs with their bound, and the plans of some shows."""
+TEXTS_MAX: Final = 30
+"""Findings of one figure that are sent: what is bad first."""
+
+
+class Examiner(Protocol):
+    """What is needed of a `host.Host` that conducts."""
+
+    conductor: Conductor | None
+    figure: Figure
+    findings: dict[str, Findings]
+
+    def turn(self) -> None: ...
+
+
+class Row(Struct, frozen=True):
+    """One line of the table: what was found about one figure."""
+
+    figure: str
+    subject: str
+    level: str
+    """`ok`, `hint` or `bad`, as `lss-motion doctor` has them."""
+    text: str
+
+
+def examined(figure: str, number: int, robot: Robot, port: str | None, folder: Path) -> Findings:
+    """Examine this computer and its servos, in a process of its own."""
+    words = ["doctor", str(robot.path), "--json", *(["--port", port] if port else [])]
+    program = "import sys; from lss_motion.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    found: list[Finding] = []
+    try:
+        done = subprocess.run(  # noqa: S603  (our own program)
+            [sys.executable, "-P", "-c", program, *words],
+            capture_output=True,
+            text=True,
+            timeout=DOCTOR_S,
+            check=False,
+        )
+        for one in json.loads(done.stdout)["findings"]:
+            text = f"{one['text']}{'; ' if one['fix'] else ''}{one['fix']}"
+            found.append(
+                Finding(level=str(one["level"]), subject=one["subject"][:64], text=text[:300])
+            )
+    except (OSError, ValueError, KeyError, subprocess.TimeoutExpired) as error:
+        found.append(Finding(level="bad", subject="doctor", text=str(error)[:300]))
+    found.append(_disk(folder))
+    order = {"bad": 0, "hint": 1}
+    found.sort(key=lambda one: order.get(one.level.lower(), 2))
+    return Findings(figure=figure, number=number, findings=tuple(found[:TEXTS_MAX]))
+
+
+def _disk(folder: Path) -> Finding:
+    place = next((one for one in (folder, *folder.parents) if one.exists()), Path.cwd())
+    free = shutil.disk_usage(place).free
+    level = "ok" if free >= DISK_MIN_BYTES else "bad"
+    return Finding(level=level, subject="disk", text=f"{free / 1e9:.1f} GB free at {place}")
+
+
+def examine_stage(
+    host: Examiner, robots: Mapping[str, Robot], wait_s: float | None = None
+) -> list[Row]:
+    """Let all figures examine themselves; return what was found, figure by figure.
+
+    `host` is that of the conductor, which plays nothing meanwhile; `robots` are those of its files.
+    """
+    version = host.figure.version
+    hashes = {name: robot_hash(robot) for name, robot in robots.items()}
+    conductor = host.conductor
+    assert conductor is not None, "the conductor's computer examines"
+    conductor.examines = 1
+    end = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
+    names = list(conductor.seats)
+    while time.monotonic() < end:
+        host.turn()
+        if all(_is_known(host, conductor.seats[name]) for name in names):
+            break
+    rows = []
+    for name in names:
+        seat = conductor.seats[name]
+        rows += rows_of(seat, host.findings.get(name), version, hashes.get(name))
+    return rows
+
+
+class Examining:
+    """An examination by a conductor that is served; `turn` is called until it is done."""
+
+    def __init__(self, host: Examiner, asked: str, now_ns: int) -> None:
+        conductor = host.conductor
+        assert conductor is not None, "the conductor's computer examines"
+        conductor.examines += 1
+        self._host, self._conductor, self._asked = host, conductor, asked
+        self._number = conductor.examines
+        self._end_ns = now_ns + round(WAIT_S * NS_PER_S)
+
+    def turn(self, now_ns: int) -> list[Examined] | None:
+        """Return what was found about each figure; None: it is not done yet."""
+        seats = self._conductor.seats
+        if now_ns < self._end_ns and not all(self._is_done(one, now_ns) for one in seats.values()):
+            return None
+        cast = self._conductor.cast
+        parts = {} if cast is None else cast.parts
+        found = []
+        for name, seat in seats.items():
+            rows = rows_of(
+                seat,
+                self._findings(name),
+                self._host.figure.version,
+                parts[name].robot if name in parts else None,
+            )
+            if seat.status is not None and seat.is_lost(now_ns):
+                rows.insert(0, Row(name, "network", "bad", "is lost: nothing arrives from it"))
+            texts = tuple(
+                Finding(level=row.level, subject=row.subject[:64], text=row.text[:300])
+                for row in rows
+            )
+            found.append(Examined(figure=name, asked=self._asked, rows=texts))
+        return found
+
+    def _findings(self, name: str) -> Findings | None:
+        found = self._host.findings.get(name)
+        return None if found is None or found.number != self._number else found
+
+    def _is_done(self, seat: FigureSeat, now_ns: int) -> bool:
+        """Return whether nothing more is to be expected: a figure that plays examines nothing."""
+        status = seat.status
+        if status is None or seat.is_lost(now_ns):
+            return False
+        return self._findings(seat.name) is not None and status.bound_ns is not None
+
+
+def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None) -> list[Row]:
+    """Return what the conductor that is served on this computer finds about every figure.
+
+    Raises `BusError` if it does not answer.
+    """
+    from lss_motion.stage.hosts.peer import Peer
+
+    asked = secrets.token_hex(8)
+    ask = Ask(what="examine", number=1, instance=asked)
+    found: dict[str, Examined] = {}
+    end = time.monotonic() + (WAIT_S if wait_s is None else wait_s) + DONE_S
+    asked_again = 0.0
+    with Peer(replace(settings, is_visitor=True)) as peer:
+        peer.subscribe("examined/*")
+        while time.monotonic() < end and len(found) < len(settings.figures):
+            if time.monotonic() > asked_again:
+                asked_again = time.monotonic() + 1.0
+                peer.send(f"figure/{settings.conductor}/ask", packed(ask))
+            for arrival in peer.take(0.1):
+                with contextlib.suppress(InputError):
+                    one = parse(Examined, arrival.content)
+                    if one.asked == asked:
+                        found[one.figure] = one
+    if not found:
+        raise BusError(f"the conductor at {settings.address} does not answer")
+    return [
+        Row(name, row.subject, row.level, row.text)
+        for name in settings.figures
+        if name in found
+        for row in found[name].rows
+    ]
+
+
+def _is_known(host: Examiner, seat: FigureSeat) -> bool:
+    has_clock = seat.status is not None and seat.status.bound_ns is not None
+    return has_clock and seat.name in host.findings
+
+
+def rows_of(
+    seat: FigureSeat, findings: Findings | None, version: str, robot_hash: str | None
+) -> list[Row]:
+    """Return the rows of one figure."""
+    name, status = seat.name, seat.status
+    if status is None:
+        text = "does not answer: is it served there, are address, cable and keys right?"
+        return [Row(name, "network", "bad", text)]
+    rows = [Row(name, "network", "ok", f"answers in {_ms(status.round_trip_ns)} ms")]
+    is_same = status.version == version
+    rows.append(
+        Row(
+            name,
+            "version",
+            "ok" if is_same else "bad",
+            status.version if is_same else f"{status.version}, here {version}: install the same",
+        )
+    )
+    is_same = robot_hash is None or status.robot == robot_hash
+    text = status.robot[:8] if is_same else "differs from the file here: give both the same one"
+    rows += [Row(name, "robot file", "ok" if is_same else "bad", text), _clock_row(seat)]
+    if findings is None:
+        rows.append(Row(name, "computer", "bad", "has not examined itself in time"))
+        return rows
+    for one in findings.findings:
+        rows.append(Row(name, one.subject, one.level.lower(), one.text))
+    return rows
+
+
+def _clock_row(seat: FigureSeat) -> Row:
+    status = seat.status
+    bound_ns = None if status is None else status.bound_ns
+    row = Row(seat.name, "clock", "ok", f"known to {_ms(bound_ns)} ms")
+    if bound_ns is None:
+        return replace(row, level="bad", text="not known yet")
+    if bound_ns > REFUSE_NS:
+        return replace(row, level="bad", text=f"{row.text}: a start is refused")
+    return replace(row, level="hint" if bound_ns > WARN_NS else "ok")
+
+
+def _ms(span_ns: int | None) -> str:
+    return "?" if span_ns is None else f"{span_ns / NS_PER_MS:.2f}"

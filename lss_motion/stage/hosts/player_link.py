@@ -1,0 +1,280 @@
+"""The player of a figure: a process of its own, steered through its link (`remote`).
+
+It gets its plan when the figure is armed, moves to the start of the show and stands there until a
+leg comes (`playing.player.following`). It is started before, when the one before it ends, so that
+no show waits until Python has imported it. When this process dies or falls silent, the player
+brakes and holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import subprocess
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
+
+from lss_motion.errors import EXIT_UNREACHABLE, LssMotionError
+from lss_motion.playing.player.events import Phase
+from lss_motion.playing.player.following import SLOW_RATE, FollowRule
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.job import Job
+from lss_motion.playing.remote.player_end import LossRule
+from lss_motion.playing.remote.process import begin_process, give_job, packed
+from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.playing.sound_choice import SoundChoice
+from lss_motion.robot.on_fault import Cause
+from lss_motion.stage.hosts.figure import KEPT_PLANS, PlayerView
+from lss_motion.stage.hosts.messages import hash_of
+from lss_motion.stage.hosts.plans import read_plan
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.units import s_from_ns
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable
+
+    from lss_motion.robot.model import Robot
+
+BACKSTOP_S: Final = 1.0
+"""Without legs for so much longer than the freewheel, the player holds by itself: its figure tells
+it to hold before that."""
+PLAYER_MODULES: Final = (
+    "lss_motion.playing.remote.job",
+    "lss_motion.playing.perform",
+    "lss_motion.sim.bus",
+)
+"""What a player imports before it gets its job: 1.5 s of a core here, of which 0.1 s are left."""
+CLOSE_S: Final = 10.0
+"""A player that was stopped has ended by then, or it is told to end at once."""
+ENDING: Final = frozenset({Phase.STOP.value, Phase.RESTORE.value, Phase.DONE.value})
+MOVING: Final = frozenset(
+    {Phase.CONNECT.value, Phase.READY.value, Phase.PREPARE.value, Phase.APPROACH.value}
+)
+
+
+class PlayerLink:
+    """Starts, steers and watches the player of one robot; `options` are those of `perform`."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        freewheel_s: float = 2.0,
+        log: Callable[[str], None] = lambda _text: None,
+        pass_on: Callable[[Kind, bytes], None] = lambda _kind, _content: None,
+        **options: Any,  # noqa: ANN401
+    ) -> None:
+        """`pass_on` gets its events and telemetry, for operators."""
+        self._robot, self._options, self._log = robot, options, log
+        self._pass_on = pass_on
+        self._rule = FollowRule(
+            freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE, goes_to_it=True
+        )
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: MessagePipe | None = None
+        self._spare: tuple[subprocess.Popen[bytes], socket.socket] | None = None
+        """The next player, which waits for its job."""
+        self._view = PlayerView()
+        self._phase = ""
+        self._show_s: float | None = None
+        self._rate, self._shown_ns = 0.0, 0
+        """Of the show, when `_show_s` arrived, and when that was."""
+        self._first_ns: int | None = None
+        self._cause = ""
+        self._hottest_c: float | None = None
+        self._late_us: int | None = None
+        self._number = 0
+        self._jobs_lock = threading.Lock()
+        self._jobs: dict[str, bytes] = {}
+        """The packed jobs of the plans that were prepared last, by their hashes."""
+        self._is_stopped = self._is_closing = False
+        self._leaving: list[subprocess.Popen[bytes]] = []
+        """Processes that end by themselves."""
+        self.reports: list[dict[str, Any]] = []
+        """Reports of the runs that have ended."""
+
+    def prepare(self, plan: bytes) -> str:
+        """Read and verify a plan, and keep it for `arm`; return why it cannot be played.
+
+        Called in a thread: of a long plan it takes a second, and beats must not wait for it.
+        """
+        try:
+            program = read_plan(plan, self._robot)
+        except LssMotionError as error:
+            return str(error)
+        job = Job(
+            program=program,
+            robot=self._robot,
+            rule=LossRule(on_lost="stop"),
+            follow=self._rule,
+            # Sounds of the conductor's robot follow the legs, as the robot does.
+            options={"sound": SoundChoice(leads=False), **self._options},
+        )
+        name, content = hash_of(plan), packed(job)
+        with self._jobs_lock:
+            jobs = [(one, kept) for one, kept in self._jobs.items() if one != name]
+            # More than the figure counts on.
+            self._jobs = dict([*jobs[1 - 2 * KEPT_PLANS :], (name, content)])
+        return ""
+
+    def arm(self, plan: str, start_s: float) -> None:
+        """Start the player with a plan that was prepared; it moves to `start_s`, and waits there.
+
+        `plan` is its hash.
+        """
+        if self._link is not None:  # Of a run that has ended: its figure waits for that.
+            self._gone()
+        job = self._jobs.get(plan)
+        if job is None:
+            self._view = PlayerView("failed", None, "the plan is not prepared", cause="error")
+            return
+        self._process, end = self._take_spare()
+        give_job(end, job, options={"start_s": start_s or None})
+        self._link = MessagePipe(end)
+        self._link.set_blocking(is_blocking=False)
+        self._phase, self._show_s, self._first_ns = "", None, None
+        self._cause, self._hottest_c, self._late_us = "", None, None
+        self._is_stopped = False
+        self._view = PlayerView("starting")
+
+    def _take_spare(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
+        """Return the player that waits, or a new one where there is none."""
+        spare, self._spare = self._spare, None
+        if spare is not None and spare[0].poll() is not None:
+            spare[1].close()
+            spare = None
+        return spare or begin_process(modules=PLAYER_MODULES)
+
+    def _keep_spare(self) -> None:
+        """Start the next player as soon as the present one is about to end."""
+        is_free = self._link is None or self._is_stopped
+        if is_free and self._spare is None and self._jobs and not self._is_closing:
+            self._spare = begin_process(modules=PLAYER_MODULES)
+
+    def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
+        """Tell it where the show is."""
+        if self._first_ns is None and rate > 0.0:
+            self._first_ns = instant_ns
+        self._send(m.Follow, instant_ns=instant_ns, show_s=show_s, rate=rate, source="conductor")
+
+    def stop(self) -> None:
+        """Let it brake, hold and end."""
+        self._is_stopped = True
+        self._send(m.Stop)
+
+    def view(self, now_ns: int) -> PlayerView:
+        """Take what it sent, and return its state."""
+        self._keep_spare()
+        link = self._link
+        if link is None:
+            return self._view
+        link.flush()
+        try:
+            for kind, content in link.receive():
+                self._take(kind, content)
+        except PipeClosedError:
+            self._gone()
+            return self._view
+        if self._view.phase in ("ended", "failed"):
+            return self._view
+        show_s = self._show_s
+        if show_s is not None:  # It was there when it was sent.
+            show_s += self._rate * s_from_ns(max(now_ns - self._shown_ns, 0))
+        if not self._phase or (self._phase in MOVING and self._first_ns is None):
+            self._view = PlayerView("starting")
+        elif self._phase in ENDING and (self._is_stopped or self._phase == Phase.STOP.value):
+            self._view = PlayerView("stopping", show_s)
+        elif self._first_ns is None or now_ns < self._first_ns:
+            self._view = PlayerView("standing", show_s)
+        else:
+            stands = self._phase == Phase.SHOW.value and self._rate == 0.0
+            self._view = PlayerView("playing", show_s, stands=stands)
+        self._view = replace(self._view, hottest_c=self._hottest_c, late_us=self._late_us)
+        return self._view
+
+    def _take(self, kind: Kind, content: bytes) -> None:
+        self._pass_on(kind, content)
+        if kind is Kind.TELEMETRY:
+            telemetry = Telemetry.from_bytes(content)
+            self._show_s, self._rate = telemetry.show_s, telemetry.rate
+            self._shown_ns = time.monotonic_ns()
+        elif kind is Kind.EVENT:
+            match m.parse_event(content):
+                case m.PhaseChanged() as event:
+                    self._phase = event.phase
+                case m.Warned() as event:
+                    self._log(f"player: {event.text}")
+                case m.Health() as event:
+                    known = [one.temperature_c for one in event.joints.values()]
+                    self._hottest_c = max((c for c in known if c is not None), default=None)
+                    self._late_us = event.late_us
+                case m.Faulted() as event:
+                    self._cause = event.kind
+                    self._log(f"player: joint {event.joint!r}: {event.kind}: {event.step}")
+                case m.Refused() as event:
+                    self._log(f"player refused: {event.text}")
+                case m.Ended() as event:
+                    self._end(event)
+
+    def _end(self, event: m.Ended) -> None:
+        if event.report is not None:
+            self.reports.append(event.report)
+        if event.outcome == "finished":
+            self._view = PlayerView("ended")
+        elif event.outcome == "stopped" and event.error is None:
+            self._view = PlayerView("none")
+            self._phase = Phase.DONE.value
+        else:
+            lost = Cause.LOST_PORT.value if event.exit_code == EXIT_UNREACHABLE else "error"
+            cause = self._cause or lost
+            self._view = PlayerView("failed", None, event.error or event.outcome, cause=cause)
+
+    def _gone(self) -> None:
+        """Forget the process: it has ended."""
+        if self._view.phase not in ("ended", "failed") and self._phase != Phase.DONE.value:
+            text = "its process is gone; the servos come to rest by themselves"
+            self._view = PlayerView("failed", None, text, cause="error")
+        elif self._phase == Phase.DONE.value and self._view.phase not in ("ended", "failed"):
+            self._view = PlayerView("none")
+        if self._link is not None:
+            self._link.close()
+        if self._process is not None:
+            self._leaving.append(self._process)
+        self._leaving = [process for process in self._leaving if process.poll() is None]
+        self._link = self._process = None
+
+    def _send(self, operation: type[m.Operation], **fields: object) -> None:
+        link = self._link
+        if link is None or link.is_closed:
+            return
+        self._number += 1
+        message = operation(id=self._number, **fields)
+        link.send(Kind.OPERATION, message.model_dump_json().encode())
+
+    def close(self) -> None:
+        """Stop it, and wait until it has ended."""
+        self._is_closing = True
+        if self._spare is not None:
+            self._spare[1].close()  # It ends by that.
+            self._leaving.append(self._spare[0])
+            self._spare = None
+        if self._link is not None:
+            self.stop()
+            if not self._wait() and self._link is not None:
+                self._send(m.Estop)
+                self._wait()
+            self._gone()
+        for process in self._leaving:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(CLOSE_S)
+
+    def _wait(self) -> bool:
+        end_ns = time.monotonic_ns() + int(CLOSE_S * 1e9)
+        while self._link is not None and time.monotonic_ns() < end_ns:
+            select.select([self._link.fileno()], [], [], 0.1)
+            self.view(time.monotonic_ns())
+        return self._link is None

@@ -1,0 +1,233 @@
+"""What the conductor's process does for its server: the stage with figures, steered by operators.
+
+`ConductorJob` is given to `playing.remote.process`, as `stage.job.StageJob` is for one robot, and
+answers the same operations with the same events: so the pages, the triggers, the alerts and the
+stop of a stage are those of any stage. The players of all figures are processes of their own; that
+of the conductor's figure is started from here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from lss_motion.errors import InputError, LssMotionError
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.player_end import LossRule
+from lss_motion.stage.hosts.conducting import Conducting, Offer
+from lss_motion.stage.hosts.host import TURN_S
+from lss_motion.stage.hosts.plans import SEPARATOR
+from lss_motion.stage.hosts.serving import host_for
+from lss_motion.stage.job import StageOutcome, StageSteering
+from lss_motion.stage.log import StageLog
+from lss_motion.stage.records import must_restart
+from lss_motion.stage.stage_timecode import OwnSource, StageTimecode, spec_of
+from lss_motion.system.messages import Kind
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.remote.operator_end import Operator
+    from lss_motion.robot.model import Robot
+    from lss_motion.stage.hosts.plans import PlannedCast
+    from lss_motion.stage.model import Stage
+    from lss_motion.stage.running import Record
+
+PASSED_ON: Final = frozenset({"checked", "mark", "fault", "phase"})
+"""Events of the conductor's own player that operators get."""
+
+
+def conductor_job(
+    stage: Stage, made: Mapping[str, PlannedCast], robot: Robot, hashes: Mapping[str, str]
+) -> ConductorJob:
+    """Return the job of a planned stage; `hashes` are those of the conductor's own programs."""
+    is_joined = any("" in one.shows for one in made.values())
+    return ConductorJob(
+        stage=replace(stage, robot=None),
+        offers={name: Offer(one.cast, one.contents) for name, one in made.items()},
+        robot=robot,
+        prefix=f"{stage.conductor}{SEPARATOR}" if is_joined else "",
+        hashes=dict(hashes),
+    )
+
+
+class ConductorJob(Struct, frozen=True, kw_only=True):
+    """A planned stage with figures, for the computer of its conductor.
+
+    `options`: `waits_for_go`, `start_at`, `is_real_time`, `may_run`, `seed`, `log_folder`, `goes`
+    (play the first show when all are there), `trusts_network`, `plans`.
+    """
+
+    stage: Stage
+    offers: Mapping[str, Offer]
+    robot: Robot
+    prefix: str = ""
+    """Before the names of its joints on the pages, where a show has the joints of all."""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    """Of the program of the own figure, by show."""
+    rule: LossRule = field(default_factory=LossRule)
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def run(self, operator: Operator) -> StageOutcome:
+        """Conduct until the operator stops it; send the first and the last event."""
+        steering = ConductorSteering(operator, self)
+        try:
+            self._run(operator, steering)
+            error: LssMotionError | None = None
+        except LssMotionError as refused:
+            error = refused
+        steering.end(
+            m.Ended(
+                outcome="stopped" if error is None else "fault",
+                error=None if error is None else str(error),
+                report=None,
+                exit_code=None if error is None else error.exit_code,
+            )
+        )
+        return StageOutcome(None, error)
+
+    def _run(self, operator: Operator, steering: ConductorSteering) -> None:
+        options, given = self.options, self.stage.sync.timecode
+        rule = self.stage.log
+        if options.get("log_folder") is not None:
+            rule = replace(rule, folder=Path(options["log_folder"]))
+        start_at = options.get("start_at")
+
+        def pass_on(kind: Kind, content: bytes) -> None:
+            if kind is Kind.TELEMETRY:
+                operator.link.offer(kind, content)
+            elif kind is Kind.EVENT:
+                steering.pass_on(m.parse_event(content))
+
+        with contextlib.ExitStack() as stack:
+            files = stack.enter_context(StageLog(rule))
+
+            def write(record: Record) -> None:
+                files.write(record)
+                steering.note(record)
+
+            legs = None if given is None else stack.enter_context(OwnSource(spec_of(given)))
+            host = host_for(
+                self.stage,
+                self.stage.conductor or "",
+                self.robot,
+                trust_network=bool(options.get("trusts_network")),
+                folder=None if options.get("plans") is None else Path(options["plans"]),
+                log=steering.log,
+                pass_on=pass_on,
+                is_real_time=bool(options.get("is_real_time")),
+                may_run=bool(options.get("may_run")),
+            )
+            stack.callback(host.close)
+            run = Conducting(
+                self.stage,
+                self.offers,
+                host,
+                write,
+                timecode=None if given is None else StageTimecode(given, legs),
+                waits_for_go=bool(options.get("waits_for_go")),
+                start_at=None if start_at is None else datetime.fromisoformat(start_at),
+                seed=options.get("seed"),
+                plays_first=bool(options.get("goes")),
+            )
+            steering.begin_conducting(run)
+            while not steering.has_stopped:
+                host.turn(TURN_S)
+                now_ns = time.monotonic_ns()
+                while host.cues:
+                    run.take(*host.cues.popleft())
+                run.turn(now_ns)
+                steering.act(None, now_ns)
+            run.note_counts()
+
+
+class ConductorSteering(StageSteering):
+    """Operators of a stage with figures."""
+
+    def __init__(self, operator: Operator, job: ConductorJob) -> None:
+        super().__init__(operator, job.rule)
+        self._job = job
+        self._conducting: Conducting | None = None
+        self._texts: list[str] = []
+        """Logged before there was a run."""
+
+    def begin_conducting(self, run: Conducting) -> None:
+        """Send the first event."""
+        from lss_motion.playing.connection import is_simulated
+
+        self._run, self._conducting = run, run
+        self._hashes = dict(self._job.hashes)
+        self.start(
+            m.Started(
+                name=run.stage.name,
+                robot=self._job.robot.name,
+                is_simulated=is_simulated(self._job.robot),
+                duration_s=None,
+                plan=next(iter(self._hashes.values()), "00" * 8),
+                joints=tuple(self._job.prefix + name for name in self._job.robot.joints),
+                marks=(),
+            )
+        )
+        for text in self._texts:
+            self.log(text)
+
+    def pass_on(self, event: m.AnyEvent) -> None:
+        """Let operators see what the player of the own figure does."""
+        prefix = self._job.prefix
+        if isinstance(event, m.Started):
+            joints = tuple(prefix + name for name in event.joints)
+            self.start(event.model_copy(update={"name": self._job.stage.name, "joints": joints}))
+        elif isinstance(event, m.Health):
+            named = {prefix + name: one for name, one in event.joints.items()}
+            self.operator.offer(event.model_copy(update={"joints": named}))
+        elif event.event in PASSED_ON:
+            self.operator.send(event)
+
+    def log(self, text: str) -> None:
+        """Keep a line of the host, for the log and the pages."""
+        if self._conducting is None:
+            self._texts.append(text)
+        else:
+            self._conducting.records.note("network", text)
+
+    def _renew(self, job: bytes, player: Player | None) -> None:  # noqa: ARG002
+        """Go on with newer files, or note why the stage must begin anew for them."""
+        assert self._conducting is not None
+        newer: ConductorJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
+        if newer.robot != self._job.robot:
+            kind, text = must_restart("another robot")
+        else:
+            kind, text = self._conducting.renew(newer.stage, newer.offers)
+        self._conducting.records.note(kind, text)
+        if kind == "renewed":
+            self._hashes = dict(newer.hashes)
+
+    def _direct(self, operation: m.AnyOperation) -> bool:
+        assert self._conducting is not None
+        conductor, now_ns = self._conducting.conductor, self._conducting.now_ns
+        match operation:
+            case m.Pause():
+                conductor.pause(now_ns)
+            case m.Resume():
+                conductor.resume(now_ns)
+            case m.Rate() | m.Seek() if self._conducting.is_led:
+                raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
+            case m.Rate():
+                conductor.set_rate(operation.ratio, now_ns)
+            case m.Seek():
+                if not isinstance(operation.to, int | float):
+                    raise InputError("a show of several figures goes to a time, not to a label")
+                conductor.seek(float(operation.to), now_ns)
+                return True
+            case _:
+                return super()._direct(operation)
+        self.operator.send(m.RateChanged(ratio=conductor.speed, is_paused=conductor.is_paused))
+        return True

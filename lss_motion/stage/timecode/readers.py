@@ -1,0 +1,146 @@
+"""From bytes and sound of one way of transport to observations for the chase; pure.
+
+Each reader chooses the frame rate, unless it is given: that of the label, or of LTC the measured
+one, where the rate is not coded.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.stage.timecode import packets
+from lss_motion.stage.timecode.chase import Observation
+from lss_motion.stage.timecode.ltc import LtcDecoder
+from lss_motion.stage.timecode.mtc import MtcDecoder
+from lss_motion.stage.timecode.timecode import FPS_24, FPS_25, FPS_29_97, FPS_29_97_DROP, FPS_30
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from lss_motion.stage.timecode.ltc import LtcFrame
+    from lss_motion.stage.timecode.timecode import Rate
+
+    Say = Callable[[str], None]
+
+NEAR_RATIO: Final = 0.08
+"""A measured rate that is nearer to one of the known ones is taken for it. 24 and 25 are 4 % apart,
+so the nearest counts; beyond, the tape is wound."""
+SETTLED: Final = 4
+"""So many frames in a row must be of another rate before the rate is changed."""
+
+
+def of_label(coded: Rate, wanted: Rate | None, say: Say, way: str) -> Rate | None:
+    """Return the rate by which a label is read; None: it is not that of the timecode wanted."""
+    if wanted is None or wanted == coded:
+        return coded
+    if wanted.labels != coded.labels:
+        say(
+            f"{way} comes with {coded.labels} frames a second, but --rate-fps is {wanted.name}: "
+            f"it is not followed. Change one of them"
+        )
+        return None
+    if wanted.is_drop != coded.is_drop:
+        has = "drop-frame" if coded.is_drop else "no drop-frame"
+        say(f"{way} has {has}, other than --rate-fps {wanted.name}: read as it is")
+        return FPS_29_97_DROP if coded.is_drop else (FPS_29_97 if wanted.is_drop else wanted)
+    return wanted
+
+
+class LtcReader:
+    """Observations from sound. `instant_ns` of a sample is given with each block."""
+
+    def __init__(self, rate_hz: int, wanted: Rate | None, say: Say) -> None:
+        self.decoder = LtcDecoder(rate_hz)
+        self.frames = 0
+        self._rate_hz, self._wanted, self._say = rate_hz, wanted, say
+        self._rate: Rate | None = None
+        self._other = 0
+
+    def take(
+        self, block: NDArray[np.float32], instant_of: Callable[[float], float]
+    ) -> Iterator[Observation]:
+        """Yield what is known with these samples; `instant_of` turns samples into ns."""
+        for frame in self.decoder.take(block):
+            self.frames += 1
+            rate = self._rate_of(frame)
+            if rate is None or not frame.timecode.is_valid(rate):
+                continue
+            number = frame.timecode.frame(rate) + (0 if frame.is_reverse else 1)
+            direction = -1 if frame.is_reverse else 1
+            instant_ns = round(instant_of(frame.at))
+            yield Observation(instant_ns, number / rate.frames_per_s, direction)
+
+    def _rate_of(self, frame: LtcFrame) -> Rate | None:
+        measured = self._rate_hz / frame.frame_samples
+        near = min((FPS_24, FPS_25, FPS_30), key=lambda r: abs(r.frames_per_s - measured))
+        if abs(measured / near.frames_per_s - 1.0) > NEAR_RATIO:
+            return self._rate  # It is wound, or two frames in one: judged by the chase.
+        if frame.is_drop and near.labels == FPS_30.labels:
+            near = FPS_29_97_DROP
+        if self._rate is None or near.labels != self._rate.labels:
+            self._other += 1
+            if self._rate is not None and self._other < SETTLED:
+                return self._rate
+        self._other = 0
+        self._rate = near
+        return of_label(near, self._wanted, self._say, "LTC")
+
+
+class MtcReader:
+    """Observations from MIDI messages."""
+
+    def __init__(self, wanted: Rate | None, say: Say) -> None:
+        self._decoder = MtcDecoder()
+        self._wanted, self._say = wanted, say
+
+    def take(self, message: bytes, instant_ns: int) -> Iterator[Observation]:
+        """Yield what is known with this message."""
+        for reading in self._decoder.take(message, instant_ns):
+            rate = of_label(reading.rate, self._wanted, self._say, "MIDI timecode")
+            if rate is None or not reading.timecode.is_valid(rate):
+                continue
+            frames = reading.timecode.frame(rate) + reading.past_frames
+            yield Observation(reading.instant_ns, frames / rate.frames_per_s, reading.direction)
+
+
+class ArtNetReader:
+    """Observations from UDP packets, each with the name of its source."""
+
+    def __init__(self, wanted: Rate | None, say: Say) -> None:
+        self._wanted, self._say = wanted, say
+
+    def take(
+        self, packet: bytes, address: str, instant_ns: int
+    ) -> Iterator[tuple[Observation, str]]:
+        """Yield what is known with this packet."""
+        reading = packets.read_artnet(packet)
+        if reading is None:
+            return
+        rate = of_label(reading.rate, self._wanted, self._say, "Art-Net timecode")
+        if rate is None or not reading.timecode.is_valid(rate):
+            return
+        source = f"{address} stream {reading.stream}" if reading.stream else address
+        yield Observation(instant_ns, reading.timecode.at_s(rate)), source
+
+
+class FppReader:
+    """Observations from UDP packets of a Falcon Player. Sequences count, or else media."""
+
+    def __init__(self) -> None:
+        self._has_sequence = False
+
+    def take(
+        self, packet: bytes, address: str, instant_ns: int
+    ) -> Iterator[tuple[Observation, str]]:
+        """Yield what is known with this packet."""
+        reading = packets.read_fpp(packet)
+        if reading is None or reading.action == "open":
+            return
+        self._has_sequence = self._has_sequence or reading.kind == "sequence"
+        if self._has_sequence and reading.kind != "sequence":
+            return
+        direction = 0 if reading.action == "stop" else 1
+        yield Observation(instant_ns, reading.seconds, direction), f"{address} {reading.name}"

@@ -1,0 +1,171 @@
+"""The end of a run: starts the processes that read and send timecode, and leads the player.
+
+`FollowControls` stands between what a person does (`inner`) and the player: a pause of the person
+holds the show whatever the leader does. `TimecodeOut.turn` is called on each turn of the loop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from lss_motion.errors import InputError
+from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.remote.schema import Follow
+from lss_motion.stage.timecode import receive, send
+from lss_motion.stage.timecode.child import Child
+from lss_motion.system.closing import Closing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from lss_motion.playing.player.following import Following
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.runner import Controls
+    from lss_motion.stage.timecode.options import FollowSpec, SendSpec
+    from lss_motion.system.clock_leg import ClockLeg
+
+
+class TimecodeSource(Closing):
+    """One source of timecode, read by a process of its own. A context manager."""
+
+    def __init__(self, spec: FollowSpec, *, waits: bool = True) -> None:
+        """Open it; raises `InputError` if that fails. Without `waits` it opens later."""
+        self._child = Child(receive.__name__, receive.spec_text(spec), waits=waits)
+        if waits and not self._child.text:
+            raise InputError(f"--follow {spec.kind}: {'; '.join(self._child.problems)}")
+        self._texts: list[str] = []
+        self._is_named = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether timecode is read, or will be."""
+        return bool(self._child.filenos())
+
+    @property
+    def has_opened(self) -> bool:
+        """Whether it has been opened."""
+        return bool(self._child.text)
+
+    def filenos(self) -> list[int]:
+        """Return what ends a wait."""
+        return self._child.filenos()
+
+    def take(self) -> list[Follow]:
+        """Return what came since the last call, oldest first. Never waits."""
+        found = []
+        for values in self._child.take():
+            if "op" in values:
+                found.append(Follow(**values))
+            elif "text" in values:
+                self._texts.append(str(values["text"]))
+        return found
+
+    def take_texts(self) -> list[str]:
+        """Return what a person should know, since the last call."""
+        problems = [f"no timecode is read any more: {one}" for one in self._child.take_problems()]
+        texts, self._texts = [*self._texts, *problems], []
+        if self._child.text and not self._is_named:
+            self._is_named = True
+            return [f"follows {self._child.text}", *texts]
+        return texts
+
+    def close(self) -> None:
+        self._child.close()
+
+
+class TimecodeOut(Closing):
+    """Sends timecode from the show clock of one run. A context manager; `turn` never waits."""
+
+    def __init__(self, spec: SendSpec) -> None:
+        """Open the receiver; raises `InputError` if that fails."""
+        self._child = Child(send.__name__, send.spec_text(spec))
+        if not self._child.text:
+            raise InputError(f"--send {spec.kind}: {'; '.join(self._child.problems)}")
+        self._leg: ClockLeg | None = None
+        self._is_ended = False
+
+    @property
+    def text(self) -> str:
+        """What is sent, for a person."""
+        return self._child.text
+
+    def turn(self, player: Player, now_ns: int) -> None:  # noqa: ARG002  (as the loop calls it)
+        """Tell the process if the show clock has changed."""
+        show = player.show
+        if show is None or self._is_ended:
+            return
+        if player.show_ended_ns is not None:
+            self._is_ended = self._child.send(end=1)
+        else:
+            self.send_clock(show.clock.leg)
+
+    def send_clock(self, leg: ClockLeg, show: str = "") -> None:
+        """Send the clock of a show from now on; the same leg again changes nothing."""
+        if leg is self._leg:
+            return
+        values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
+        if self._child.send(leg=[*values, leg.trim_ratio], show=show):
+            self._leg = leg
+
+    def close(self) -> None:
+        self._child.close()
+
+
+class Legs(Protocol):
+    """Where legs come from: a `TimecodeSource`, or a test."""
+
+    def filenos(self) -> Sequence[int]: ...
+
+    def take(self) -> Sequence[Follow]: ...
+
+    def take_texts(self) -> Sequence[str]: ...
+
+
+class FollowControls:
+    """Controls of a run that follows. Keys of a person go through `inner`."""
+
+    def __init__(
+        self,
+        following: Following,
+        legs: Legs,
+        *,
+        inner: Controls[Any] | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        self.following = following
+        self._legs = legs
+        self._inner = inner
+        self._tell = tell
+
+    def filenos(self) -> Sequence[int]:
+        inner = () if self._inner is None else self._inner.filenos()
+        return [*self._legs.filenos(), *inner]
+
+    def act(self, player: Player, now_ns: int) -> None:
+        """Apply what the person and the leader have done since the last call."""
+        if self._inner is not None:
+            self._inner.act(_PausedByPerson(player, self.following), now_ns)
+        for leg in self._legs.take():
+            self.following.lead(Leg(leg.instant_ns, leg.show_s, leg.rate), now_ns)
+        self.following.turn(player, now_ns)
+        for text in (*self._legs.take_texts(), *self.following.take_texts()):
+            if self._tell is not None:
+                self._tell(text)
+
+
+class _PausedByPerson:
+    """A player as a person steers it while it follows: there is pause, go on, and stop."""
+
+    def __init__(self, player: Player, following: Following) -> None:
+        self._player, self._following = player, following
+
+    def set_rate(self, rate: float, now_ns: int) -> None:  # noqa: ARG002
+        """Pause at rate 0; the speed is that of the leader."""
+        self._following.set_paused(is_paused=rate == 0.0)
+
+    def stop(self, now_ns: int) -> None:
+        self._following.note_request("stop", now_ns)
+        self._player.stop(now_ns)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._player, name)

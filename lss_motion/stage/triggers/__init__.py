@@ -1,0 +1,17 @@
+"""Triggers from outside: messages of other programs and devices as operations of `playing.remote.schema`.
+
+Each source has a part that knows no clock and no socket (bytes to values), and one that receives in
+the one thread of the server. No source reaches the player: the server sends it what counts.
+
+| file        | what it is                                                        |
+| ----------- | ----------------------------------------------------------------- |
+| `sources`   | allow-list, rate limit, thresholds and complaints of all sources  |
+| `osc`       | Open Sound Control as values                                      |
+| `osc_port`  | its UDP port, with feedback to those who subscribe                |
+| `sacn`      | sACN as levels, and the thresholds that they cross                |
+| `sacn_port` | its UDP port, and the groups of universes                         |
+| `midi`      | notes and program changes of an input that may vanish             |
+| `gpio`      | buttons at the pins of a Raspberry Pi                             |
+| `mqtt`      | a broker of messages, and what Home Assistant is told             |
+| `alerts`    | faults as a POST to a web hook                                    |
+"""

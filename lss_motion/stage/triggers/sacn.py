@@ -1,0 +1,165 @@
+"""sACN (ANSI E1.31): packets to levels, and levels to crossings of the thresholds of cues.
+
+A level is a cue like a button, and never scales a joint. Read here, not by the library `sacn` 1.11:
+that one fills a packet that is cut with levels of 0, fails where a desk has a name that is no
+UTF-8, and receives in a thread of its own.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+from lss_motion.stage.triggers.sources import Crossings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+PORT: Final = 5568
+PACKET_MAX_BYTES: Final = 1144
+"""The longest of the standard: universe discovery."""
+LOST_S: Final = 2.5
+"""A source that sends nothing for so long is lost (E1.31 6.7.1)."""
+SEQUENCE_BACK: Final = 20
+"""A sequence number less than so many behind is of a packet that was overtaken (E1.31 6.7.2)."""
+SOURCES_MAX: Final = 8
+"""Sources of one universe that are told apart."""
+HYSTERESIS: Final = 8.0
+"""Counts below a threshold at which it can be crossed again. Chosen: a fader in the hand trembles
+by one or two."""
+RATE_HZ: Final = 2000.0
+"""Packets of one sender that are looked at: 45 universes at the 44 a second of DMX."""
+SLOTS: Final = 512
+_HEAD: Final = struct.pack(">HH12s", 0x10, 0, b"ASC-E1.17\0\0\0")
+_LAYOUT: Final = struct.Struct(">16sHI16sHI64sBHBBHHBBHHH")
+_ROOT_DATA: Final = 4
+_FRAME_DATA: Final = 2
+_SET_PROPERTY: Final = (2, 0xA1, 0, 1)
+_PREVIEW: Final = 0x80
+_TERMINATED: Final = 0x40
+
+
+class SacnError(ValueError):
+    """A packet that is no sACN data."""
+
+
+class Packet(Struct, frozen=True):
+    """The levels of one universe from one source."""
+
+    source: bytes
+    """Identity of the sender (CID)."""
+    universe: int
+    priority: int
+    sequence: int
+    is_terminated: bool
+    levels: bytes
+
+
+def packet_of(data: bytes) -> Packet | None:
+    """Return the levels of a packet; None if it carries none. Raises `SacnError` for other data."""
+    if len(data) > PACKET_MAX_BYTES or not data.startswith(_HEAD):
+        raise SacnError("a packet that is no sACN is ignored")
+    if len(data) < _LAYOUT.size:
+        raise SacnError("an sACN packet that is cut is ignored")
+    found = _LAYOUT.unpack_from(data)
+    _, _, root, source, _, frame, _, priority, _, sequence, options, universe, *rest = found
+    if root != _ROOT_DATA or frame != _FRAME_DATA or options & _PREVIEW:
+        return None  # Discovery, synchronisation, or a picture of what is not on stage.
+    _, *property_, count = rest
+    if tuple(property_) != _SET_PROPERTY or not 1 <= count <= SLOTS + 1:
+        raise SacnError("an sACN packet of another kind is ignored")
+    values = data[_LAYOUT.size : _LAYOUT.size + count]
+    if len(values) < count or not 1 <= universe <= 63999 or priority > 200:
+        raise SacnError("an sACN packet that is cut is ignored")
+    if values[0] != 0:
+        return None  # Another start code: these are no levels.
+    is_terminated = bool(options & _TERMINATED)
+    return Packet(source, universe, priority, sequence, is_terminated, values[1:])
+
+
+def group_of(universe: int) -> str:
+    """Return the multicast address of a universe."""
+    return f"239.255.{universe >> 8}.{universe & 0xFF}"
+
+
+def address_of(universe: int, slot: int) -> str:
+    """Return the address of a slot, as triggers have it."""
+    return f"{universe}/{slot}"
+
+
+@dataclass(slots=True)
+class _Source:
+    priority: int
+    sequence: int
+    heard_s: float
+    levels: bytes
+
+
+class Levels:
+    """Levels of the slots that cues wait for. Knows no clock and no socket.
+
+    Of several sources those with the highest priority count; of these the highest level.
+    """
+
+    def __init__(self, thresholds: Mapping[str, Iterable[float]]) -> None:
+        own = {address: tuple(values) for address, values in thresholds.items()}
+        self._crossings = Crossings(own, hysteresis=HYSTERESIS, is_state=True)
+        self._slots: dict[int, list[int]] = {}
+        for address in own:
+            universe, slot = map(int, address.split("/"))
+            self._slots.setdefault(universe, []).append(slot)
+        self._sources: dict[int, dict[bytes, _Source]] = {one: {} for one in self._slots}
+
+    @property
+    def universes(self) -> tuple[int, ...]:
+        return tuple(self._slots)
+
+    def take(self, packet: Packet, now_s: float) -> list[tuple[str, float]]:
+        """Return the addresses whose level crosses a threshold, with the level."""
+        sources = self._sources.get(packet.universe)
+        if sources is None:
+            return []
+        self._drop_silent(packet.universe, now_s)
+        known = sources.get(packet.source)
+        if known is not None and -SEQUENCE_BACK < _behind(packet.sequence, known.sequence) <= 0:
+            return []
+        if packet.is_terminated:
+            sources.pop(packet.source, None)
+        elif known is None and len(sources) >= SOURCES_MAX:
+            return []
+        else:
+            sources[packet.source] = _Source(packet.priority, packet.sequence, now_s, packet.levels)
+        return self._changes(packet.universe)
+
+    def _changes(self, universe: int) -> list[tuple[str, float]]:
+        sources = self._sources[universe].values()
+        top = max((one.priority for one in sources), default=0)
+        best = [one.levels for one in sources if one.priority == top]
+        found = []
+        for slot in self._slots[universe]:
+            address = address_of(universe, slot)
+            if not best:
+                self._crossings.forget(address)
+                continue
+            level = float(max(own[slot - 1] if slot <= len(own) else 0 for own in best))
+            if self._crossings.take(address, level):
+                found.append((address, level))
+        return found
+
+    def _drop_silent(self, universe: int, now_s: float) -> None:
+        """Forget sources that were silent for too long; without one the next level is a first."""
+        sources = self._sources[universe]
+        for name, one in list(sources.items()):
+            if now_s - one.heard_s > LOST_S:
+                del sources[name]
+        if not sources:
+            for slot in self._slots[universe]:
+                self._crossings.forget(address_of(universe, slot))
+
+
+def _behind(new: int, old: int) -> int:
+    """Return by how much a sequence number is ahead of another, from −128 to 127."""
+    return (new - old + 128) % 256 - 128

@@ -1,0 +1,68 @@
+"""One computer of a stage, between its network and its player."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from lss_motion.robot.load import load_robot
+from lss_motion.stage.hosts.host import Host
+from lss_motion.stage.hosts.messages import Ask, packed
+from lss_motion.stage.hosts.peer import Arrival
+from lss_motion.stage.hosts.settings import NetworkSettings
+
+ROBOT = """\
+robot: arm
+buses: {main: {port: "sim://", baud_bps: 115200, firmware: 370}}
+defaults: {model: LSS-ST1, speed_max_deg_s: 90, accel_max_deg_s2: 300}
+joints: {j: {id: 1, range_deg: [-90, 90]}}
+"""
+FIGURES = ("left", "right")
+
+
+class Peer:
+    """A network that delivers what the test gives it."""
+
+    def __init__(self):
+        self.arrivals, self.sent = [], []
+
+    def take(self, _timeout_s):
+        taken, self.arrivals = self.arrivals, []
+        return taken
+
+    def send(self, key, content):
+        self.sent.append((key, content))
+
+    def __getattr__(self, _name):
+        return lambda *_: None
+
+
+@pytest.fixture
+def conductor(tmp_path):
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    player = SimpleNamespace(stop=lambda: None, view=lambda _: None)
+    peer = Peer()
+    settings = NetworkSettings(
+        stage="hall", figure="left", conductor="left", figures=FIGURES, address="127.0.0.1:7447"
+    )
+    robot = load_robot(tmp_path / "robot.yaml")
+    store = SimpleNamespace(get=lambda _: None)
+    host = Host(settings, robot, player, store, lambda _: peer, version="test")
+    host.player.view = lambda _: host.figure.player
+    return host, peer
+
+
+def asked(host, peer, figure, **fields):
+    ask = Ask(what="cue", instance="0" * 16, **{"cue": "x", **fields})
+    peer.arrivals.append(Arrival("message", f"figure/{figure}/ask", packed(ask), 0))
+    host.turn()
+    return len(host.cues)
+
+
+def test_a_wish_that_is_repeated_counts_once_and_a_forged_number_silences_nobody(conductor):
+    host, peer = conductor
+    assert asked(host, peer, "right", number=1) == 1
+    assert asked(host, peer, "right", number=1) == 1
+    assert asked(host, peer, "right", number=10**9) == 2
+    assert asked(host, peer, "right", number=2) == 3
+    assert asked(host, peer, "right", number=1) == 3
+    assert asked(host, peer, "nobody", number=5) == 3
