@@ -145,7 +145,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 
 def add_all(parser: argparse.ArgumentParser, words: str = "") -> None:
-    """Add `--all`, which lists all of what `planning.summaries.plan_lines` finds; `words` begin its help."""
+    """Add `--all`, which lists all that `summaries.plan_lines` finds; `words` begin its help."""
     parser.add_argument(
         "--all",
         action="store_true",
@@ -255,7 +255,7 @@ def prepared(
     loop: int | str | None = None,
     is_following: bool = False,
 ) -> Show:
-    """Return the show in the file of a command: `planning.shows.prepare`, or what was kept of it."""
+    """Return the show in the file of a command: `shows.prepare`, or what was kept of it."""
     from lss_motion.planning import shows
     from lss_motion.planning.show_cache import cached
 
@@ -281,7 +281,6 @@ def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path]
     """
 
     def read(path: Path) -> Robot:
-        from lss_motion.planning.shows import with_backup
         from lss_motion.robot.load import load_robot
 
         robot = load_robot(path)
@@ -289,6 +288,10 @@ def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path]
             from lss_motion.playing.connection import ask_limits
 
             return ask_limits(robot, port=arguments.port)
-        return with_backup(robot, arguments.robot_cache)
+        if robot.unread and arguments.robot_cache is not None:
+            from lss_motion.maintenance.backup import with_backup
+
+            return with_backup(robot, arguments.robot_cache)
+        return robot
 
     return read

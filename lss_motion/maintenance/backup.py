@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from msgspec import Struct, field
 from pydantic import Field
 
+from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, Name, Text, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.maintenance.settings import value_text
 from lss_motion.playing.discovery import family_of
+from lss_motion.playing.stored_limits import SETTINGS, physical_limits, with_limits
 from lss_motion.protocol.codec import storable
 from lss_motion.protocol.constants import ID_MAX
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.maintenance.settings import Values
+    from lss_motion.robot.model import Joint, Robot
 
 OFF: Final = "off"
 """The value in the file of a first position that is switched off."""
@@ -112,6 +115,34 @@ def read_backup(path: Path) -> list[ServoBackup]:
         )
         for servo in servos
     ]
+
+
+def with_backup(robot: Robot, backup: Path | None) -> Robot:
+    """Return the robot with the limits that its file leaves to the servos, from this backup."""
+    if backup is None or not robot.unread:
+        return robot
+    return robot_from_backup(robot, read_backup(backup), backup)
+
+
+def robot_from_backup(robot: Robot, kept: Iterable[ServoBackup], path: Path) -> Robot:
+    """Return the robot with the limits that its servos stored when the backup was made.
+
+    Raises `InputError` for a servo that the backup does not hold, and for a limit of 0.
+    """
+    stored = {(servo.bus, servo.servo_id): servo.settings for servo in kept}
+
+    def wire(joint: Joint, name: str) -> int | None:
+        return stored.get((joint.bus, joint.servo_id), {}).get(name)
+
+    known = with_limits(robot, physical_limits(robot, wire))
+    for joint in known.unread:
+        raise InputError(
+            f"holds no {' and '.join(n for key in sorted(joint.unread) for n in SETTINGS[key])} of "
+            f"servo {joint.servo_id} on bus {joint.bus!r} (joint {joint.name!r}); make a new "
+            f"backup",
+            path=path,
+        )
+    return known
 
 
 def _quoted(text: str) -> str:

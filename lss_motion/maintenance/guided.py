@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError, PlaybackError
@@ -243,6 +244,21 @@ class Identification(Guide):
         today = datetime.now(tz=UTC).date().isoformat()
         values = summary.response_values(self._found, self.joint)
         write_response(path, self.joint.name, values, summary.comment_lines(self._found, today))
+
+
+class ServoTasks(Struct, frozen=True):
+    """Calibration and identification for a live robot (`remote.live_end.GuidedTasks`)."""
+
+    def joint(self, robot: Robot, name: str) -> Joint:
+        return guided_joint(robot, name)
+
+    def calibration(self, robot: Robot, joint: Joint) -> Calibration:
+        return Calibration(robot, joint)
+
+    def measured(
+        self, connection: Connection, robot: Robot, name: str, operator: Operator
+    ) -> tuple[Identification | None, bool]:
+        return measured(connection, robot, name, operator)
 
 
 def guided_joint(robot: Robot, name: str) -> Joint:

@@ -1,1 +1,12 @@
-"""From a sequence to a verified program: trajectories, programs, and what explains them."""
+"""From a sequence to a verified program, explained.
+
+| file            | what it is                                          | who calls it             |
+|-----------------|-----------------------------------------------------|--------------------------|
+| `trajectory/`   | `Sequence` → `Trajectory`: within every limit       | `shows`, `playing.api`   |
+| `program/`      | `Trajectory` → `Program`: timed commands, verified  | `shows`, `playing.api`   |
+| `shows.py`      | a file to a show: loaded, planned, compiled         | `cli`, `stage`, `studio` |
+| `show_cache.py` | a show whose files are unchanged, loaded as a whole | `cli`                    |
+| `summaries.py`  | the text of plans and programs for people           | `cli`, `studio`          |
+| `picture.py`    | figures of matplotlib that look alike               | `trajectory.plot`, `cli` |
+| `gait_plot.py`  | the picture of a gait                               | `cli.planning`           |
+"""

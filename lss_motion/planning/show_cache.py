@@ -51,10 +51,10 @@ SHOW_BYTES_MAX: Final = BYTES_MAX // 4
 """A larger show is not kept: it would remove most others. Chosen: an hour of 40 joints is less."""
 
 MAKERS: Final = (
-    *("files", "gait", "interchange", "program", "protocol", "robot", "sequence", "sound"),
-    "trajectory",
+    *("files", "interchange", "planning", "planning/program", "planning/trajectory"),
+    *("protocol", "robot", "show", "show/gait", "sound"),
 )
-"""The packages, beside the modules of the top folder, that make a show of files."""
+"""The folders, beside the modules of the top folder, that make a show of files."""
 
 LIBRARIES: Final = (
     "clarabel",
@@ -68,10 +68,7 @@ LIBRARIES: Final = (
 )
 """The packages of others that do."""
 
-_VALUES: Final = tuple(
-    f"lss_motion.{part}."
-    for part in ("gait", "program", "protocol", "robot", "sequence", "shows", "trajectory")
-)
+_VALUES: Final = tuple(f"lss_motion.{part}." for part in ("planning", "protocol", "robot", "show"))
 _OTHER_VALUES: Final = frozenset(
     {
         ("msgspec._utils", "rebuild"),  # of a Struct with keywords, from its class and fields
@@ -162,7 +159,7 @@ def _versions() -> Iterator[bytes]:
     for path in (sys.executable, *libraries):
         with suppress(OSError):
             yield _state(path, os.stat(path))  # noqa: PTH116  (a Path takes three times as long)
-    top = Path(__file__).parent
+    top = Path(__file__).parents[1]
     for folder in (top, *(top / name for name in MAKERS)):
         with suppress(OSError), os.scandir(folder) as entries:
             for entry in sorted(entries, key=attrgetter("name")):

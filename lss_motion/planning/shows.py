@@ -126,16 +126,6 @@ def files_of(sequence: Sequence) -> Iterator[Path]:
         yield from files_of(part)
 
 
-def with_backup(robot: Robot, backup: Path | None) -> Robot:
-    """Return the robot with the limits that its file leaves to the servos, from this backup."""
-    if backup is None or not robot.unread:
-        return robot
-    from lss_motion.maintenance.backup import read_backup
-    from lss_motion.playing.stored_limits import robot_from_backup
-
-    return robot_from_backup(robot, read_backup(backup), backup)
-
-
 def load_gait(
     path: Path, robot_path: Path | None, read_robot: ReadRobot | None = None
 ) -> tuple[Gait, Robot]:

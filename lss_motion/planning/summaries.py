@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, to_builtins
 
 from lss_motion.errors import InputError, install_command
-from lss_motion.playing.sound_choice import RATE_BAND
 from lss_motion.show.functions import call_lines, calls_of
+from lss_motion.system.clock_leg import RATE_BAND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -1,19 +1,27 @@
-"""Side effects of a run: the clock, the ports, the loop that waits, log and report.
+"""What plays: the player, the loop that drives it, its process, its log and report.
 
-| file           | what it is                                      | who calls it               |
-|----------------|-------------------------------------------------|----------------------------|
-| `runner.py`    | the loop; explains threads, processes and waits | `api`, `connection`, `cli` |
-| `clock.py`     | the computer's clock, and virtual time          | `api`, `connection`, `sim` |
-| `port.py`      | serial ports: list, open, reopen                | `connection`, `api`, `cli` |
-| `real_time.py` | priority, memory and timers of the system       | `runner`, `api`, `sim.pty` |
-| `performer.py` | functions and sounds of a show: the pipes       | `api`                      |
-| `sounds.py`    | sounds of a show on an open stream: the pipes   | `perform`                  |
-| `sound_choice.py` | device and offset; what came of the sounds   | `perform`, `cli`           |
-| `performer_process.py` | the process that calls and plays them   | `performer`                |
-| `log_mcap.py`  | a log as MCAP, for other programs               | `cli`                      |
-| `log.py`       | the log of every byte, written by a process     | `cli`                      |
-| `replay.py`    | reads a log, repeats the player's decisions     | `cli.replay`               |
-| `report.py`    | the JSON report of a run                        | `api`, `cli`               |
-| `signals.py`   | signals that end a program, at any instant      | `cli`, `connection`, `sim` |
-| `computer.py`  | checks of this computer (`lss-motion doctor`)   | `cli.doctor`               |
+| file                | what it is                                     | who calls it             |
+|---------------------|------------------------------------------------|--------------------------|
+| `player/`           | the state machine; no clock, port, thread      | everything here          |
+| `remote/`           | the process that plays; its messages           | `stage`, `studio`, `api` |
+| `walking/`          | a gait that is steered while playing           | `cli.walk`               |
+| `api.py`            | `lss.load_robot`, `lss.play`, …                | users                    |
+| `perform.py`        | one show on open ports                         | `api`, `cli`, `remote`   |
+| `stage_run.py`      | the shows of a stage on open ports             | `stage`                  |
+| `live.py`           | `lss.connect`: a robot without a show          | users, `remote`          |
+| `connection.py`     | the open ports of a robot                      | `perform`, `live`, `cli` |
+| `discovery.py`      | which servos are on a bus, and their condition | `connection`, `cli`      |
+| `stored_limits.py`  | limits that a robot file leaves to its servos  | `connection`, `live`     |
+| `hands_on.py`       | joints moved by hand: limp, held, read         | `live`, `cli`            |
+| `runner.py`         | the loop; threads, processes and waits         | `perform`, `connection`  |
+| `performer.py`      | functions and sounds of a show: the pipes      | `perform`                |
+| `performer_process` | the process that calls and plays them          | `performer`              |
+| `sounds.py`         | sounds of a show on an open stream             | `perform`                |
+| `sound_choice.py`   | device and offset; what came of the sounds     | `perform`, `cli`         |
+| `log.py`, …         | the log of every byte; as MCAP                 | `cli`                    |
+| `replay.py`         | reads a log, repeats decisions of the player   | `cli.replay`             |
+| `report.py`         | the JSON report of a run                       | `perform`, `cli`         |
+| `stage_report.py`   | the report of a stage                          | `stage_run`              |
+| `truth.py`          | what simulated horns did                       | `perform`                |
+| `robustness.py`     | shows played with deviations                   | `cli.planning`           |
 """

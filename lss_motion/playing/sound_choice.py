@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from typing import Final
 
 OFFSET_STEP_S: Final = 0.01
-RATE_BAND: Final = 0.05
-"""A sound at a speed further from 1 is not played: it would not sound right."""
 OFFSET_MAX_S: Final = 1.0
 
 

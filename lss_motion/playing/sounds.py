@@ -25,8 +25,8 @@ from lss_motion.errors import InputError, install_command
 from lss_motion.playing.performer_process import SOUND_PLAYERS, sound_player
 from lss_motion.playing.player.events import Noted
 from lss_motion.playing.player.show_clock import TRIM_MAX_RATIO, Leg
-from lss_motion.playing.sound_choice import RATE_BAND, SoundReport
-from lss_motion.sound.files import has_soundfile, sound_info
+from lss_motion.playing.sound_choice import SoundReport
+from lss_motion.system.clock_leg import RATE_BAND
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ class SoundDesk:
         self.problem = ""
         self.troubles: list[str] = []
         """Texts about sounds that cannot be played, not yet taken by `take_troubles`."""
+        from lss_motion.sound.files import has_soundfile
+
         self._choice = choice
         self._note_request: Callable[[str, int], None] = _forget
         self._tell: Callable[[Event], None] = _ignore
@@ -176,6 +178,8 @@ class SoundDesk:
 
     def _checked(self, cues: dict[str, Cue]) -> dict[str, float]:
         """Return the durations of the files that can be read; note those that cannot."""
+        from lss_motion.sound.files import has_soundfile, sound_info
+
         lengths_s = {}
         if not has_soundfile():
             return {}

@@ -15,10 +15,8 @@ from lss_motion.protocol.codec import storable
 from lss_motion.protocol.framing import Command
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-    from pathlib import Path
+    from collections.abc import Callable, Mapping
 
-    from lss_motion.maintenance.backup import ServoBackup
     from lss_motion.playing.player.handshake import Answers
     from lss_motion.robot.model import Joint, Robot
 
@@ -46,7 +44,7 @@ def robot_from_answers(robot: Robot, answers: Answers) -> Robot:
         value = answers.get((joint.bus, joint.servo_id, f"Q{name}"))
         return value if isinstance(value, int) else None
 
-    known = with_limits(robot, _physical(robot, wire))
+    known = with_limits(robot, physical_limits(robot, wire))
     if known.unread:
         named = ", ".join(
             f"{joint.name} (id {joint.servo_id} on bus {joint.bus!r})" for joint in known.unread
@@ -55,27 +53,6 @@ def robot_from_answers(robot: Robot, answers: Answers) -> Robot:
             f"the robot file leaves limits to servos that do not answer: {named}. Check power "
             f"and wiring, or give numbers",
             url=robot.buses[known.unread[0].bus].port,
-        )
-    return known
-
-
-def robot_from_backup(robot: Robot, kept: Iterable[ServoBackup], path: Path) -> Robot:
-    """Return the robot with the limits that its servos stored when the backup was made.
-
-    Raises `InputError` for a servo that the backup does not hold, and for a limit of 0.
-    """
-    stored = {(servo.bus, servo.servo_id): servo.settings for servo in kept}
-
-    def wire(joint: Joint, name: str) -> int | None:
-        return stored.get((joint.bus, joint.servo_id), {}).get(name)
-
-    known = with_limits(robot, _physical(robot, wire))
-    for joint in known.unread:
-        raise InputError(
-            f"holds no {' and '.join(n for key in sorted(joint.unread) for n in SETTINGS[key])} of "
-            f"servo {joint.servo_id} on bus {joint.bus!r} (joint {joint.name!r}); make a new "
-            f"backup",
-            path=path,
         )
     return known
 
@@ -104,7 +81,7 @@ def with_limits(robot: Robot, limits: Mapping[str, Mapping[str, float]]) -> Robo
     return replace(robot, joints=joints, read_limits=asked)
 
 
-def _physical(
+def physical_limits(
     robot: Robot, wire_of: Callable[[Joint, str], int | None]
 ) -> dict[str, dict[str, float]]:
     """Return the known limits by joint and name, in horn degrees."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from lss_motion.sound.files import STEREO
 from lss_motion.sound.sources import resampled
+from lss_motion.system.clock_leg import RATE_BAND
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from lss_motion.system.clock_leg import ClockLeg
 
 FADE_S: Final = 0.05
-RATE_BAND: Final = 0.05
-"""A rate this far from 1 still sounds right, resampled. Beyond it, sounds are muted."""
 MISPLACED_S: Final = 0.02
 """A sound this far from its place is faded out and placed again. Chosen: what is less is
 corrected by the rate, and cannot be seen."""

@@ -1,4 +1,4 @@
-"""The HTTP interface of a stage: the operations of `playing.remote.schema` as paths, its state, metrics.
+"""The HTTP interface of a stage: the operations of `remote.schema` as paths, its state, metrics.
 
     POST /trigger/NAME        fires the cues with `http: NAME`
     POST /cue/NAME            fires a cue by its name

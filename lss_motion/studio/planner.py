@@ -132,7 +132,7 @@ def file_digest(path: Path) -> str:
 
 
 def _robot(path: Path, request: Request) -> Robot:
-    from lss_motion.planning.shows import with_backup
+    from lss_motion.maintenance.backup import with_backup
     from lss_motion.playing.connection import with_port
     from lss_motion.robot.load import load_robot
 
@@ -148,6 +148,7 @@ def _files_of_robot(robot: Robot) -> list[Path]:
 
 
 def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
+    from lss_motion.maintenance.guided import ServoTasks
     from lss_motion.maintenance.scan_job import ScanJob
     from lss_motion.playing.connection import is_simulated
     from lss_motion.playing.remote.live_end import LiveJob
@@ -158,7 +159,7 @@ def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
         "robot_path": robot.path,
         "robot_digest": "" if robot.path is None else file_digest(robot.path),
         "robot": _json(robot_view(robot, gait)),
-        "live_job": packed(LiveJob(robot=robot)),
+        "live_job": packed(LiveJob(robot=robot, tasks=ServoTasks())),
         "scan_job": packed(ScanJob(robot=robot)),
         "port": ", ".join(bus.port for bus in robot.buses.values()),
         "is_simulated": is_simulated(robot),

@@ -6,9 +6,15 @@ The player makes legs (`playing.player.show_clock`); the process that plays soun
 
 from __future__ import annotations
 
+from typing import Final
+
 from msgspec import Struct
 
 from lss_motion.units import NS_PER_S
+
+RATE_BAND: Final = 0.05
+"""A sound whose show runs at a rate further than this from 1 is not played: resampled, it would not
+sound right."""
 
 
 class ClockLeg(Struct, frozen=True):

@@ -146,13 +146,14 @@ def test_another_folder_is_another_show(nod, folder, monkeypatch):
 
 def test_another_version_of_the_program_is_a_miss(nod, folder, monkeypatch):
     package = folder / "package"
-    (package / "trajectory").mkdir(parents=True)
-    (package / "trajectory" / "planner.py").write_text("A = 1\n")
+    planner = package / "planning" / "trajectory" / "planner.py"
+    planner.parent.mkdir(parents=True)
+    planner.write_text("A = 1\n")
     monkeypatch.setattr(show_cache, "__file__", str(package / "planning/show_cache.py"))
     for count in (2, 2):
         nod.cached()
         assert nod.count == count
-    (package / "trajectory" / "planner.py").write_text("A = 12\n")
+    planner.write_text("A = 12\n")
     nod.cached()
     assert nod.count == 3
 

@@ -11,6 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 import lss_motion as lss
+from lss_motion.maintenance.guided import ServoTasks
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.live_end import LiveSession
 from lss_motion.playing.remote.operator_end import Operator
@@ -89,7 +90,7 @@ def run(robot, *script):
     """Return client, bus, times from the first state on, and the horns then."""
     client = Client(script)
     with lss.connect(robot, is_virtual=True) as live:
-        LiveSession(live, client.operator).run()
+        LiveSession(live, client.operator, ServoTasks()).run()
         (bus,) = live._connection.simulated.values()
         clock = live._connection.clock
     client.close()

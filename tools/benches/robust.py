@@ -29,7 +29,7 @@ from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: 
 from benches.shows import lively_show, robot_of  # noqa: E402
 from benches.table import Row  # noqa: E402
 from lss_motion.playing import api  # noqa: E402
-from lss_motion.playing.robustness import (
+from lss_motion.playing.robustness import (  # noqa: E402
     AFTER_PUSH_S,
     ASSUMED,
     LEAD_S,

@@ -13,8 +13,6 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.planning.picture import Instant, Timeline, draw_curve, new_figure, save, with_room
 from lss_motion.planning.trajectory.cues import all_cues, all_marks
-from lss_motion.sound.spectra import Part
-from lss_motion.sound.waveform import BEAT, LEVEL, draw_beats, draw_waveform, waveform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -214,6 +212,9 @@ def all_beats(trajectory: Trajectory, beats_s: Sequence[float], end_s: float) ->
 
 def _sounds(axis: Any, cues: Sequence[Cue], beats_s: FloatArray, end_s: float) -> None:  # noqa: ANN401
     """Draw the sounds of the show with their loudness, and its beats over them."""
+    from lss_motion.sound.spectra import Part
+    from lss_motion.sound.waveform import draw_beats, draw_waveform, waveform
+
     axis.axis("on")
     problems = []
     for cue in cues[:SOUNDS_MAX]:
@@ -299,6 +300,8 @@ def _legend(
 ) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
+
+    from lss_motion.sound.waveform import BEAT, LEVEL
 
     handles: list[Any] = [Line2D([], [], color=PLANNED, label="plan")]
     if has_horn:

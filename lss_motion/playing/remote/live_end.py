@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec import Struct
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
-from lss_motion.maintenance.guided import Calibration, Guide, guided_joint, measured
 from lss_motion.playing.hands_on import HandsOn
 from lss_motion.playing.player.events import Faulted, Phase, Warned
 from lss_motion.playing.remote import schema as m
@@ -30,6 +29,7 @@ from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from lss_motion.playing.connection import Connection
     from lss_motion.playing.live import Live
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.player import Player
@@ -54,10 +54,43 @@ HEALTH_EVERY: Final = 5
 """Health is sent with every fifth of them."""
 
 
+class GuidedTask(Protocol):
+    """Steps of one task about one joint, led by questions that a client answers."""
+
+    joint: Joint
+    now: m.MaintenanceChanged
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it takes no more answers."""
+
+    def answer(self, text: str, hands_on: HandsOn) -> None:
+        """Take an answer to the question of `now`; raises `InputError` for one it did not offer."""
+
+    def cancel(self, hands_on: HandsOn) -> None:
+        """End it; nothing is written."""
+
+
+class GuidedTasks(Protocol):
+    """Calibration and identification, plugged in by a client that offers them."""
+
+    def joint(self, robot: Robot, name: str) -> Joint:
+        """Return the joint; raises `InputError` for one that is unknown or that cannot be read."""
+
+    def calibration(self, robot: Robot, joint: Joint) -> GuidedTask:
+        """Begin to calibrate a joint."""
+
+    def measured(
+        self, connection: Connection, robot: Robot, name: str, operator: Operator
+    ) -> tuple[GuidedTask | None, bool]:
+        """Measure a joint that is free to move; return what follows, and whether it was stopped."""
+
+
 class LiveJob(Struct, frozen=True, kw_only=True):
-    """A robot that a client moves."""
+    """A robot that a client moves; `tasks` calibrates and identifies its joints."""
 
     robot: Robot
+    tasks: GuidedTasks | None = None
 
     def run(self, operator: Operator) -> None:
         """Serve the client until it stops, or is gone; send the last event."""
@@ -68,7 +101,7 @@ class LiveJob(Struct, frozen=True, kw_only=True):
             with connect(self.robot) as live:
                 for text in live.warnings:
                     operator.send(m.Warned(text=text))
-                LiveSession(live, operator).run()
+                LiveSession(live, operator, self.tasks).run()
         except LssMotionError as failed:
             error = str(failed)
         operator.send(m.Ended(outcome="fault" if error else "stopped", error=error, report=None))
@@ -88,8 +121,8 @@ class Jogging:
 class LiveSession:
     """Alternates between the hands of the client and moves to a pose."""
 
-    def __init__(self, live: Live, operator: Operator) -> None:
-        self._live, self._operator = live, operator
+    def __init__(self, live: Live, operator: Operator, tasks: GuidedTasks | None = None) -> None:
+        self._live, self._operator, self._tasks = live, operator, tasks
         self._joints = [
             name for name, joint in live.robot.joints.items() if joint.model.family != Family.IO2
         ]
@@ -99,12 +132,19 @@ class LiveSession:
         self._poses = dict(live.robot.poses)
         self._is_over = False
         self._limp: set[str] = set()
-        self._guide: Guide | None = None
+        self._guide: GuidedTask | None = None
 
     def run(self) -> None:
         """Run until the client stops, or is gone."""
         while not self._is_over:
-            hands = Hands(self._operator, self._live.robot, self._poses, self._limp, self._guide)
+            hands = Hands(
+                self._operator,
+                self._live.robot,
+                self._poses,
+                self._limp,
+                self._guide,
+                tasks=self._tasks,
+            )
             self._live.by_hand(
                 HandsOn(self._live.robot, self._joints, has_health=True),
                 controls=hands,
@@ -134,8 +174,12 @@ class LiveSession:
 
     def _measure(self, wanted: m.Maintain) -> None:
         """Measure a joint; the result is asked about when the robot is in the hands again."""
+        tasks = self._tasks
+        assert tasks is not None, "`Hands` refuses what nothing can do"
         self._guide, has_stopped = self._live.lend(
-            lambda connection: measured(connection, self._live.robot, wanted.joint, self._operator)
+            lambda connection: tasks.measured(
+                connection, self._live.robot, wanted.joint, self._operator
+            )
         )
         self._limp.discard(wanted.joint)
         if self._guide is not None:
@@ -207,7 +251,8 @@ class Hands:
         robot: Robot,
         poses: dict[str, Mapping[str, float]],
         limp: set[str],
-        guide: Guide | None = None,
+        guide: GuidedTask | None = None,
+        tasks: GuidedTasks | None = None,
     ) -> None:
         """Begin with these joints limp. A pose that is saved is added to `poses`.
 
@@ -228,7 +273,7 @@ class Hands:
         self._found_limp: set[str] = set()
         """Joints that were limp when this began and have got no order since."""
         self._state_ns = self._told = 0
-        self._guide = guide
+        self._guide, self._tasks = guide, tasks
 
     def filenos(self) -> Sequence[int]:
         """Return what ends a wait."""
@@ -423,13 +468,15 @@ class Hands:
 
     def _maintain(self, operation: m.Maintain, hands_on: HandsOn) -> None:
         """Begin a calibration here; a measurement begins when this part has ended."""
-        joint = guided_joint(self._robot, operation.joint)
+        if self._tasks is None:
+            raise InputError(f"{operation.what} is not offered here")
+        joint = self._tasks.joint(self._robot, operation.joint)
         if operation.what == "identify":
             self._want(operation, hands_on)
             return
         self._require_rest()
         self._drop_guide(hands_on)
-        self._guide = Calibration(self._robot, joint)
+        self._guide = self._tasks.calibration(self._robot, joint)
         self._operator.send(self._guide.now)
 
     def _answer(self, answer: str, hands_on: HandsOn) -> None:

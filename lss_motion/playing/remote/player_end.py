@@ -1,6 +1,6 @@
 """The player's end: applies what clients ask for, and sends what happens.
 
-`Steering` is the controls and the observer of one run (`playing.perform.Observer`). It never waits,
+`Steering` is the controls and the observer of one run (`perform.Observer`). It never waits,
 and a client that floods it, or does not read, changes no move (`operator_end`): the rate is changed
 at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
 """
@@ -57,7 +57,7 @@ class LossRule(Struct, frozen=True):
 
 
 class Steering:
-    """One client that steers one run. Its methods are the callbacks of `playing.perform.Observer`."""
+    """One client that steers one run. Its methods are the callbacks of `perform.Observer`."""
 
     def __init__(
         self,

@@ -38,7 +38,7 @@ class Task(Protocol):
 
 @runtime_checkable
 class Changeable(Protocol):
-    """A dataclass with fields that may be changed when it is started, as `playing.remote.job.Job`."""
+    """A dataclass with fields that may be changed when it is started, as `remote.job.Job`."""
 
     options: dict[str, Any]
 

@@ -1,4 +1,4 @@
-"""Triggers from outside: messages of other programs and devices as operations of `playing.remote.schema`.
+"""Triggers from outside: messages of other programs and devices as operations of `remote.schema`.
 
 Each source has a part that knows no clock and no socket (bytes to values), and one that receives in
 the one thread of the server. No source reaches the player: the server sends it what counts.

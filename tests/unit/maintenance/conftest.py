@@ -37,7 +37,7 @@ def spec():
 
 @pytest.fixture
 def connected():
-    """Return a function that connects to servos on the bus `playing.connection.simulated["main"]`."""
+    """Return a function that connects to servos on the bus `connection.simulated["main"]`."""
 
     def make(*specs, baud_bps=115200, firmware=370, seed=0, **options):
         bus = Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=firmware)

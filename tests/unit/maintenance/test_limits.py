@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.maintenance.backup import ServoBackup
+from lss_motion.maintenance.backup import ServoBackup, robot_from_backup
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import ask_limits, connect
 from lss_motion.playing.player.transactions import Item
-from lss_motion.playing.stored_limits import questions, robot_from_answers, robot_from_backup
+from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot
 from lss_motion.show.model import Keyframe, Sequence

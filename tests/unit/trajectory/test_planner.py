@@ -44,7 +44,8 @@ def test_a_legal_show_and_a_cached_plan_do_not_import_toppra() -> None:
             print(*(name in sys.modules for name in names))
 
         plan(show(0.1), robot)
-        print_loaded("toppra", "lss_motion.planning.trajectory.tracks", "lss_motion.planning.trajectory.solver")
+        modules = ("trajectory.tracks", "trajectory.solver")
+        print_loaded("toppra", *(f"lss_motion.planning.{name}" for name in modules))
         plan(show(3.0), robot)
         print_loaded("toppra", "scipy", "matplotlib")
         """
