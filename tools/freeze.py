@@ -2,13 +2,15 @@
 """Freeze what the code does, and compare: a change of the inside must not change the outside.
 
     tools/run tools/freeze.py write DIR [--quick] [--full] [--only CASE]
-    tools/run tools/freeze.py compare DIR_A DIR_B [--only CASE]
+    tools/run tools/freeze.py compare DIR_A DIR_B [--only CASE] [--new-words]
 
 `write` runs the commands of the package on all examples and on robots, shows and fault plans of its
 own, in virtual time, and keeps compiled text, plans, every byte on every bus with its instant, horn
-angles, reports, imported and exported files. `compare` fails (exit code 1) if a byte, an instant, a
-number or an exit code differs; texts for people that differ are shown, and are no failure. Both
-folders must come from one machine with the same libraries: numbers depend on them.
+angles, reports, imported and exported files, and what refused commands say. `compare` fails (exit
+code 1) if a byte, an instant, a number, an exit code or the text of an error differs; other texts
+for people that differ are shown, and are no failure. With --new-words, after words were changed on
+purpose, texts of errors are shown like that, too: read them. Both folders must come from one
+machine with the same libraries: numbers depend on them.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Write or compare; return the exit code."""
     arguments = _parser().parse_args(words)
     if arguments.action == "compare":
-        return _compare(arguments.a, arguments.b, arguments.only, shows_all=arguments.all)
+        return _compare(arguments)
     return _write(arguments)
 
 
@@ -68,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("a", type=Path, metavar="DIR_A")
     compare.add_argument("b", type=Path, metavar="DIR_B")
     compare.add_argument("--only", default="*", metavar="CASE")
+    compare.add_argument(
+        "--new-words", action="store_true", help="show texts of errors that differ, do not fail"
+    )
     compare.add_argument("--all", action="store_true", help="show all texts that differ")
     return parser
 
@@ -133,13 +138,15 @@ def _run_case(case: Case, sequences: Path) -> tuple[float, list[Item]]:
     return time.monotonic() - started_s, items
 
 
-def _compare(a: Path, b: Path, only: str, *, shows_all: bool) -> int:
+def _compare(arguments: argparse.Namespace) -> int:
     try:
-        found = compare_folders(a, b, only)
+        found = compare_folders(
+            arguments.a, arguments.b, arguments.only, has_new_words=arguments.new_words
+        )
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    shown = found.texts if shows_all else found.texts[:TEXTS_SHOWN]
+    shown = found.texts if arguments.all else found.texts[:TEXTS_SHOWN]
     for text in shown:
         print(f"text: {text}")
     if len(found.texts) > len(shown):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -16,15 +19,13 @@ from freezing.folders import (
     write_manifest,
 )
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 LOG = "".join(f"{n}.000000000 main > #1D{n}T500\\r\n" for n in range(5 * BLOCK_LINES))
 ITEMS = (
     Item("play.log.bytes", "data", LOG),
     Item("check", "numbers", "exit code 0\n"),
     Item("check.out", "numbers", numbers("fastest −14.1 (180) of LSS-ST1, 1,234 samples")),
     Item("check.out", "text", "fastest −14.1 (180) of LSS-ST1, 1,234 samples\n"),
+    Item("wrong.err", "errors", "robot.yaml:3: id 300: must be 250 or less\n"),
 )
 
 
@@ -78,6 +79,14 @@ def test_a_changed_text_is_shown_and_does_not_fail(tmp_path: Path) -> None:
     ]
 
 
+def test_another_error_text_fails_unless_words_are_new_on_purpose(tmp_path: Path) -> None:
+    a = frozen(tmp_path / "a")
+    b = frozen(tmp_path / "b", changed("errors", "must be", "at most"))
+    assert len(compare_folders(a, b).failures) == 1
+    found = compare_folders(a, b, has_new_words=True)
+    assert (len(found.failures), len(found.texts)) == (0, 1)
+
+
 def test_what_is_only_in_one_folder_fails(tmp_path: Path) -> None:
     a, b = frozen(tmp_path / "a"), frozen(tmp_path / "b", ITEMS[1:])
     for first, second in ((a, b), (b, a)):
@@ -107,3 +116,27 @@ def test_a_summary_tells_every_line_apart_and_stays_small() -> None:
     assert len(summary(LOG)) < len(LOG) / 10
     assert summary(LOG) != summary(LOG.replace("#1D77T", "#1D78T"))
     assert summary(summary(LOG)) == summary(LOG)
+
+
+PRESSED = """
+import os, select, sys, time
+from freezing.capture import TIME
+TIME.install()
+with TIME.terminal(((0.5, "a"), (2.0, "b"), (3.0, "y\\n"))) as stdin, TIME.active():
+    began = time.monotonic()
+    import tty
+    tty.setcbreak(stdin.fileno())
+    for _ in range(3):
+        if select.select([stdin], [], [], 1.0)[0]:
+            print(os.read(stdin.fileno(), 9), time.monotonic() - began)
+    print(stdin.isatty(), stdin.readline(), time.monotonic() - began)
+"""
+
+
+def test_keys_are_pressed_at_their_instants_and_no_time_passes() -> None:
+    tools = str(Path(__file__).resolve().parents[2] / "tools")
+    ran = subprocess.run(
+        [sys.executable, "-c", PRESSED], env={**os.environ, "PYTHONPATH": tools},
+        check=True, capture_output=True, text=True, timeout=30.0,
+    )  # fmt: skip
+    assert ran.stdout.splitlines() == ["b'a' 0.5", "b'b' 2.0", "True y", " 3.0"]

@@ -1,6 +1,6 @@
 """Which commands are frozen. A case is a list of steps which one process runs in its own folder.
 
-Left out is what needs keys or real time: walk, jog, calibrate, sim, plots, the live display.
+Left out is what needs another process in real time: sim, studio, serve with its page, the network.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from freezing.capture import Step
-from freezing.inputs import FAULTS, FOREIGN, MAPS, ROBOTS
+from freezing.inputs import FAULTS, FOREIGN, MAPS, MISTAKES, ROBOTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -134,6 +134,14 @@ def _others() -> Iterator[Case]:
     yield Case("identify", tuple(_identify()), 15)
     yield Case("record", tuple(_record()), 8)
     yield Case("pages", tuple(_pages()), 2)
+    for kind in MISTAKES:
+        yield Case(f"mistakes.{kind}", tuple(_mistakes(kind)), 4)
+    yield Case("mistakes.option", tuple(_wrong_options()), 3)
+    for name, steps in (("hands", _hands()), ("keys", _keys()), ("python", _python())):
+        yield Case(name, tuple(steps), 6)
+    for name in ("hexapod_walk", "quadruped_trot"):
+        yield Case(f"walk.{name}", (_walk(name),), 10)
+    yield Case("stage", tuple(_stage()), 6)
 
 
 def _refused() -> Iterator[Step]:
@@ -222,3 +230,156 @@ def _pages() -> Iterator[Step]:
     yield Step("reference", ("lss-motion", "reference"), is_quick=True)
     for name in ("lss-play", "lss-motion"):
         yield Step(name, (name, "--help"), is_quick=True, has_numbers=False)
+
+
+def _mistakes(kind: str) -> Iterator[Step]:
+    """Yield a step a mistake: what the command says to it is compared to the word."""
+    command, file, changes = MISTAKES[kind]
+    words = {
+        "check": ("lss-motion", "check", file),
+        "gait": ("lss-motion", "gait", file),
+        "faults": ("lss-play", "timed_show.yaml", "--virtual", "--faults", file),
+    }[command]
+    changed = "timed.yaml" if kind == "robot" else file
+    for number, change in enumerate(changes, 1):
+        name = f"{number:02d}"
+        yield Step(name, words, is_quick=True, has_numbers=False, change=(changed, change))
+
+
+def _wrong_options() -> Iterator[Step]:
+    play, record = ("lss-play", "timed_show.yaml"), ("lss-motion", "record", "-o", "x.yaml")
+    for number, words in enumerate(
+        (
+            ("lss-play",), (*play, "--speed", "0"), (*play, "--speed", "2", "--virtual"),
+            (*play, "--from", "nowhere"), (*play, "--from", "99", "--virtual"),
+            (*play, "--loop", "0"), (*play, "--port", "/dev/nothing"), (*play, "--port", ""),
+            (*play, "--port", "/dev/nothing", "--yes"), (*play, "--robot", "not_there.yaml"),
+            (*play, "--robot", "mixed.yaml"), (*play, "--virtual", "--report", "timed.yaml"),
+            (*play, "--virtual", "--log", "no/where.log"), (*play, "--virtual", "--seed", "x"),
+            (*play, "--faults", "faults_many.yaml", "--port", "/dev/nothing", "--yes"),
+            ("lss-play", "timed.yaml"), ("lss-play", "."), ("lss-play", "hall.yaml"),
+            ("lss-motion", "chekc"), ("lss-motion", "check"), ("lss-motion", "check", "bow.wav"),
+            ("lss-motion", "plan", "timed_show.yaml", "--rate-hz", "0"),
+            ("lss-motion", "compile", "timed_show.yaml", "-o", "timed_show.yaml"),
+            ("lss-motion", "export", "timed_show.yaml", "--to", "mp3", "-o", "x"),
+            ("lss-motion", "import", "timed.yaml", "-o", "x.yaml"),
+            ("lss-motion", "replay", "timed.yaml"), ("lss-motion", "report", "timed.yaml"),
+            ("lss-motion", "jog", "timed.yaml"), ("lss-motion", "calibrate", "timed_show.yaml"),
+            ("lss-motion", "calibrate", "timed.yaml", "--at", "hoem"), record,
+            (*record, "--robot", "timed.yaml", "--virtual"),
+            (*record, "--robot", "timed.yaml", "--joints", "elbwo", "--seconds", "1"),
+            ("lss-motion", "walk", "timed_show.yaml"),
+            ("lss-motion", "walk", "trot.yaml", "--forward-mm-s", "900"),
+            ("lss-motion", "configure", "timed.yaml", "--set", "ZZ=3", "--yes"),
+            ("lss-motion", "configure", "timed.yaml", "--set", "LED=99", "--yes"),
+            ("lss-motion", "send", "--robot", "timed.yaml", "--id", "5", "ZZ"),
+            ("lss-motion", "identify", "--robot", "timed.yaml", "elbwo", "--virtual"),
+            ("lss-motion", "scan", "--port", "/dev/nothing"),
+            ("lss-motion", "serve", "timed.yaml"), ("lss-motion", "serve", "not_there.yaml"),
+            ("lss-motion", "serve", "sequences/stages/duet.yaml"),
+            ("lss-motion", "serve", "sequences/stages/duet.yaml", "--figure", "middle"),
+            ("lss-motion", "serve", "hall.yaml", "--start-at", "25:00"),
+            ("lss-motion", "monitor", "timed.yaml", "--for", "-1"),
+            ("lss-motion", "schema", "none"), ("lss-motion", "example", "none"),
+        ),
+        1,
+    ):  # fmt: skip
+        yield Step(f"{number:02d}", words, is_quick=True, has_numbers=False)
+
+
+LEFT: Final = "\x1b[D"
+RIGHT: Final = "\x1b[C"
+DOWN: Final = "\x1b[B"
+
+
+def _pressed(every_s: float, *keys: str, from_s: float = 3.0) -> tuple[tuple[float, str], ...]:
+    return tuple((from_s + every_s * index, key) for index, key in enumerate(keys))
+
+
+def _hands() -> Iterator[Step]:
+    """Yield what a person does with keys and hands: `jog`, `calibrate`, `record`."""
+
+    def step(name: str, *words: str, keys: tuple[str, ...], file: str, every_s: float) -> Step:
+        return Step(
+            name, ("lss-motion", *words), (file,), is_quick=True, is_real_time=True,
+            keys=_pressed(every_s, *keys), has_wire=True,
+        )  # fmt: skip
+
+    steered = (
+        RIGHT, RIGHT, DOWN, LEFT, "]", "]", LEFT, "c", DOWN, "l", "h", "[", RIGHT, "c", DOWN,
+        LEFT, LEFT, LEFT, "j", "k", "q",
+    )  # fmt: skip
+    for robot, *more in (
+        ("timed",),
+        ("mixed", "--joints", "pan", "wing", "auto", "slide", "turn"),
+    ):
+        words = ("jog", f"{robot}.yaml", *more)
+        yield step(f"jog.{robot}", *words, keys=steered, file=f"{robot}.yaml", every_s=0.7)
+    words = ("jog", "old.yaml", "--joints", "reach", "--pose", "home")
+    keys = (RIGHT, LEFT, "c", "\x03")
+    yield step("jog.ctrl_c", *words, keys=keys, file="old.yaml", every_s=0.6)
+    led = ("--hand", "by_hand.csv")
+    for name, robot, more, keys in (
+        ("written", "timed", (), ("l", "\n", "\n", "\n", "s", "\n", "y")),
+        ("servos", "streamed", ("--at", "home", "--to-servos"), ("l", "\n", *"ssss", "y")),
+        ("refused", "old", (), ("l", "\n", *"ssss", "n")),
+        ("ended", "pro", ("--joints", "base"), ("l", "\n", "q")),
+    ):
+        words = ("calibrate", f"{robot}.yaml", *led, *more)
+        file = f"{robot}.yaml"
+        yield step(f"calibrate.{name}", *words, keys=keys, file=file, every_s=2.0)
+    for feel in ("limp", "soft"):
+        words = ("record", "--robot", "timed.yaml", "-o", f"{feel}.yaml", *led, "--feel", feel)
+        keys = ("l", "p", "r", "r", "p", "u", "l", "p", "q")
+        yield step(f"record.{feel}", *words, keys=keys, file=f"{feel}.yaml", every_s=1.2)
+
+
+def _keys() -> Iterator[Step]:
+    """Yield shows in real time that a person steers with keys and Ctrl-C."""
+    for robot in ("timed", "mixed"):
+        for name, keys in {
+            "paused": _pressed(0.5, " ", " ", "-", "-", "-", "+", "+", from_s=1.5),
+            "stopped": ((2.0, "q"),),
+            "ended": ((2.0, "\x03"),),
+            "at_once": ((2.0, "\x03"), (2.05, "\x03")),
+            "early": ((0.01, "q"),),
+        }.items():
+            words = ("lss-play", f"{robot}_show.yaml", "--report", "report.json")
+            yield Step(
+                f"{robot}.{name}", words, ("report.json",), is_quick=True, is_real_time=True,
+                keys=keys, has_wire=True,
+            )  # fmt: skip
+    words = ("lss-play", "timed_show.yaml", "--careful")
+    yield Step("careful", words, is_quick=True, is_real_time=True, has_wire=True)
+
+
+def _walk(name: str) -> Step:
+    """Return a walk that is steered with keys, slowed, let sit down and ended."""
+    keys = _pressed(1.1, "w", "w", "d", LEFT, "-", "s", "+", " ", "x", "x", "w", "q", from_s=6.0)
+    words = ("lss-motion", "walk", f"sequences/{name}.yaml", "--report", "report.json")
+    is_quick = name == "quadruped_trot"
+    return Step(
+        "walk", words, ("report.json",), is_quick=is_quick, is_real_time=True, keys=keys,
+        has_wire=True,
+    )  # fmt: skip
+
+
+def _python() -> Iterator[Step]:
+    """Yield what is done from Python."""
+    for robot, *joints in (("timed", "elbow", "base"), ("mixed", "turn", "pan")):
+        words = ("script", "connect", f"{robot}.yaml", *joints)
+        yield Step(f"connect.{robot}", words, is_quick=True, has_wire=True)
+        for name in ("play", "start", "wrong"):
+            words = ("script", name, f"{robot}_show.yaml", f"{robot}.yaml")
+            yield Step(f"{name}.{robot}", words, is_quick=True, has_wire=True)
+
+
+def _stage() -> Iterator[Step]:
+    """Yield stages in virtual time: cues from outside, rests and faults, and two computers."""
+    for name in ("", "visitor", "deaf"):
+        faults = (f"hall_{name}.yaml",) if name else ()
+        words = ("script", "evening", "hall.yaml", *faults)
+        yield Step(f"evening{name and '.'}{name}", words, is_quick=name != "visitor", has_wire=True)
+    yield Step("check", ("lss-motion", "check", "hall.yaml"), is_quick=True)
+    parts = ("sequences/parts/duet_left.yaml", "sequences/parts/duet_right.yaml")
+    yield Step("duet", ("script", "duet", *parts), is_quick=True, has_wire=True)

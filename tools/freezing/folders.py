@@ -1,7 +1,8 @@
 """Frozen results as files: written small, compared file by file.
 
-A file is `CASE/NAME.KIND`. The kind says what a difference means: `data` (bytes, instants, files)
-and `numbers` (values taken from texts) must be the same; a different `text` is for people to read.
+A file is `CASE/NAME.KIND`. The kind says what a difference means: `data` (bytes, instants, files),
+`numbers` (values taken from texts) and `errors` (what a refused command says) must be the same; a
+different `text` is for people to read.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-KINDS: Final = ("data", "numbers", "text")
+KINDS: Final = ("data", "numbers", "errors", "text")
 MANIFEST: Final = "manifest.json"
 WHOLE_MAX_BYTES: Final = 4000
 """A longer content is stored as its first lines and a hash of each block of lines."""
@@ -86,11 +87,14 @@ def _digest(lines: list[str]) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-def compare_folders(a: Path, b: Path, pattern: str = "*") -> Comparison:
+def compare_folders(
+    a: Path, b: Path, pattern: str = "*", *, has_new_words: bool = False
+) -> Comparison:
     """Return how folder `b` differs from `a`, for the cases that match `pattern`.
 
-    Raises `ValueError` for a folder that is not complete, or if the folders cannot be compared:
-    other cases were run, or another version of Python or of a numeric library.
+    With `has_new_words` what a refused command says is for people to read, as other texts. Raises
+    `ValueError` for a folder that is not complete, or if the folders cannot be compared: other
+    cases were run, or another version of Python or of a numeric library.
     """
     _check_manifests(a, b, is_part=pattern != "*")
     found = Comparison()
@@ -99,7 +103,7 @@ def compare_folders(a: Path, b: Path, pattern: str = "*") -> Comparison:
         found.files_count += 1
         difference = _difference(a / name, b / name)
         if difference is not None:
-            is_text = name.endswith(".text")
+            is_text = name.endswith((".text", ".errors") if has_new_words else ".text")
             (found.texts if is_text else found.failures).append(f"{name}: {difference}")
     if not names:
         raise ValueError(f"no case matches {pattern!r}")

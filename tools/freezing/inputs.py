@@ -149,6 +149,127 @@ FAULTS: Final = {
 """Fault plans for the short shows, by name."""
 INPUT_FAULT: Final = "{kind: input, servo: 203, at_s: 1.9, distance_mm: 300, sensor: GP2Y0A21YK0F}"
 
+HALL: Final[dict[str, str]] = {
+    "puppet.yaml": """\
+robot: puppet
+buses: {main: {port: "sim://", baud_bps: 115200, firmware: 370}}
+defaults: {model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}
+joints:
+  neck: {id: 1, range_deg: [-90, 90]}
+  jaw:  {id: 2, range_deg: [-90, 90], drive: streamed}
+  lid:  {id: 3, range_deg: [-90, 90]}
+sensors: {door: {id: 203, kind: GP2Y0A21YK0F}}
+on_fault: {silent: [warn, resume, hold]}
+""",
+    **{
+        f"hall_{name}.yaml": f"sequence: {name}\nrobot: puppet.yaml\nkeyframes:\n"
+        + "".join(f"  - {{at_s: {at}, deg: {deg}}}\n" for at, deg in enumerate(poses))
+        for name, poses in {
+            "idle": ("{neck: 0}", "{neck: 10}", "{neck: 0}"),
+            "scare": ("{neck: 0, jaw: 0}", "{neck: 30, jaw: 40}", "{neck: 0, jaw: 0}"),
+            "wink": ("{lid: 0}", "{lid: 20}", "{lid: 0}"),
+            "sleep": ("{neck: 0, jaw: 0}", "{neck: -30, jaw: 0}"),
+        }.items()
+    },
+    "hall.yaml": """\
+stage: hall
+robot: puppet.yaml
+shows: {idle: hall_idle.yaml, scare: hall_scare.yaml, wink: hall_wink.yaml, sleep: hall_sleep.yaml}
+idle: idle
+cues:
+  - {cue: visitor, on: {sensor: door, below_mm: 500}, play: scare, cooldown_s: 5}
+  - {cue: hi, on: {key: h}, play: scare, start: queue}
+  - {cue: loud, on: {osc: /scare}, play: scare, start: interrupt, priority: 1}
+  - {cue: winks, on: {key: w}, play: wink, start: add}
+  - {cue: some, on: {key: x}, play: [scare, wink], choose: random, start: terminate}
+  - {cue: next, on: {go: true}, play: wink, start: terminate}
+  - {cue: late, on: {http: late}, play: scare, enabled: false}
+  - {cue: minute, on: {time: "* * * * *"}, play: wink, start: add}
+duty: {rest: sleep, limp: true}
+on_fault: {wait_s: 4, total: 3}
+listen: {osc: "127.0.0.1:9000", http: "127.0.0.1:8440"}
+log: {folder: hall_log}
+""",
+    "hall_visitor.yaml": "faults:\n"
+    "  - {kind: input, servo: 203, at_s: 6.0, distance_mm: 300, sensor: GP2Y0A21YK0F}\n"
+    "  - {kind: input, servo: 203, at_s: 20.0, distance_mm: 700, sensor: GP2Y0A21YK0F}\n",
+    "hall_deaf.yaml": "faults:\n  - {kind: deaf, servo: 1, at_s: 18.0}\n",
+    "by_hand.csv": "t_s,base,shoulder,elbow,gripper\n"
+    "0,0,0,0,0\n3,10,20,-15,12\n6,10,20,-15,12\n8,30,20,-15,12\n10,30,45,-15,12\n"
+    "12,30,45,10,5\n14,30,45,10,5\n16,30,45,10,5\n",
+}
+"""A stage with every way to start a show, faults for it, and a hand that moves the timed arm."""
+
+MISTAKES: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
+    "robot": (
+        "check", "timed_show.yaml",
+        ("ST1 -> ST9", "id: 2 -> id: 1", "id: 3 -> id: 300", "[0, 60] -> [60, 0]",
+         "[0, 60] -> [0, sixty]", "180, accel -> -180, accel", "180 -> 1800", "600 -> fast",
+         "115200 -> 115201", "firmware: 370 -> firmware: 1", "port: -> prot:", "\"sim://\" -> \"\"",
+         "direction: -1 -> direction: 2", "range_deg: [-170, 170] -> rang_deg: [-170, 170]",
+         ", range_deg: [-90, 90] ->", "base: 0, -> bass: 0,", "gripper: 10 -> gripper: 100",
+         "[shoulder, elbow] -> [shoulder, ellbow]", "robot: arm -> robot:", "joints: -> jonts:",
+         "  base: -> \tbase:", "elbow: { -> base: {", "{id: 1 -> {id: 1, drive: stream",
+         "{id: 1 -> {id: 1, bus: none", "{id: 1 -> {id: 1, settings: {AS: 900}",
+         "{id: 1 -> {id: 1, stored: {ZZ: 1}", "{id: 1 -> {id: yes", "poses: -> poses: 5 #",
+         "groups: {reach -> groups: {base", "robot: arm -> robot: arm\nend: fall",
+         "robot: arm -> robot: arm\non_fault: {silent: [hold, warn]}",
+         "robot: arm -> robot: arm\non_fault: {silnt: [warn]}", "robot: arm -> - robot: arm",
+         "robot: arm -> robot: arm\npatience_s: 0"),
+    ),
+    "sequence": (
+        "check", "timed_show.yaml",
+        ("home, label -> hom, label", "at_s: 0.7 -> at_s: -1", "at_s: 1.2 -> at_s: 0.1",
+         "at_s: 2.4 -> after_s: 0.1, at_s: 2.4", "base: 25 -> base: 250", "base: 25 -> bse: 25",
+         "base: 25 -> base: left", "ease: linear -> ease: liner", "label: there -> label: start",
+         "led: -> lde:", "base: red -> base: pink", "keyframes: -> keyframe:",
+         "robot: timed.yaml -> robot: none.yaml", "sequence: short -> sequence: 5",
+         "hold_s: 0.1 -> hold_s: -0.1", "at_s: 0.0, pose: home -> pose: home",
+         "events: -> events: none #", "say: halfway -> say: 5", "at_s: 1.0, say -> at_s: 99, say",
+         "sequence: short -> sequence: short\nloop: -1", "- {at_s: 0.7 -> - {at_s: [0.7",
+         "sequence: short -> sequence: short\ntiming: quick", "anchor: true -> anchor: maybe",
+         "say: halfway -> run: none:nothing", "say: halfway -> sound: none.wav"),
+    ),
+    "stage": (
+        "check", "hall.yaml",
+        ("puppet.yaml -> none.yaml", "idle: idle -> idle: idel", "play: scare, cool -> play: s, c",
+         "hall_wink.yaml -> none.yaml", "sensor: door -> sensor: dor", "below_mm: -> under_mm:",
+         "start: queue -> start: later", "cue: hi -> cue: visitor", "priority: 1 -> priority: 1000",
+         "osc: /scare -> osc: scare", "choose: random -> choose: dice", "go: true -> go: maybe",
+         "* * * * * -> * * * *", "* * * * * -> 99 * * * *", "rest: sleep -> rest: slep",
+         "limp: true -> limp: 5", "127.0.0.1:9000 -> 127.0.0.1", "127.0.0.1:8440 -> :8440",
+         "wait_s: 4 -> wait_s: -4", "cues: -> cuse:", "on: {key: h} -> on: {}",
+         "on: {key: h} -> on: {key: h, osc: /h}", "key: h -> key: hh",
+         "enabled: false -> enabled: 3",
+         "play: wink, start: add -> do: rest, start: add", "log: {folder: -> log: {path:",
+         "listen: -> sync: {timecode: {source: smpte}}\nlisten:",
+         "listen: -> figures: {a: {robot: puppet.yaml}}\nlisten:",
+         "listen: -> conductor: a\nlisten:"),
+    ),
+    "gait": (
+        "gait", "trot.yaml",
+        ("pattern: trot -> pattern: jog", "height_mm: 140 -> height_mm: 900",
+         "cycle_s: 1.3 -> cycle_s: 0", "left_front_knee -> left_front_nee",
+         "stride_mm: 40 -> stride_mm: 400",
+         "kind: abduction-thigh-shank -> kind: leg",
+         "lengths_mm: [52, 93.4, 90] -> lengths_mm: [52, 93.4]",
+         "stance_mm: 52 -> stance: 52", "do: -> dos:", "cycles: 4 -> cycles: 0",
+         "step_height_mm: 12 -> step_height_mm: -12",
+         "tilt_deg: [0, 12, 0] -> tilt_deg: [0, 80, 0]",
+         "  - stand: -> - sit:", "gait: quadruped trot ->", "hip_mm: [100, 37.5] -> hip_mm: [100]"),
+    ),
+    "faults": (
+        "faults", "faults_many.yaml",
+        ("faults: -> fault:", "lost_reply -> lost", "ratio: 0.1 -> ratio: 2",
+         "ratio: 0.1 -> ration: 0.1",
+         "at_s: 0.5 -> at_s: soon", "servo: 1 -> servo: 77", "kind: reset, servo: 1 -> kind: reset",
+         "late_s: 0.02, ->", "kind: oversleep -> kind: wrong_id", "kind: oversleep -> kind: hot",
+         "kind: reset, servo: 1 -> kind: stored, servo: 1, settings: {LED: 99}",
+         "kind: reset, servo: 1 -> kind: input, servo: 1", "at_s: 2.0 -> at_s: 2.0, until_s: 1.0"),
+    ),
+}  # fmt: skip
+"""By kind of file: the command that refuses it, the good file, and changes `old -> new` of it."""
+
 _PAGE = bytearray(512)
 _PAGE[:3], _PAGE[15], _PAGE[16], _PAGE[20], _PAGE[22] = b"bow", 1, 10, 2, 32
 for _step, _turn in enumerate((2048, 2300)):
@@ -214,7 +335,10 @@ def write_inputs(folder: Path) -> None:
     for name, rows in (*FAULTS.items(), ("input", INPUT_FAULT)):
         text = f"faults: [{rows}]\n"
         (folder / f"faults_{name}.yaml").write_text(text, encoding="utf-8")
-    texts = {
+    texts = HALL | {
+        "trot.yaml": (folder / "sequences/quadruped_trot.yaml")
+        .read_text(encoding="utf-8")
+        .replace("robots/", "sequences/robots/"),
         "waits.yaml": WAIT_SHOW,
         "too_fast.yaml": TOO_FAST.replace("ANCHOR", "label: far"),
         "too_fast_anchor.yaml": TOO_FAST.replace("ANCHOR", "anchor: true"),
