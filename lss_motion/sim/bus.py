@@ -17,7 +17,7 @@ from lss_motion.protocol.constants import BROADCAST_ID, Family
 from lss_motion.protocol.framing import commands_in
 from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, Board, make_boards
 from lss_motion.sim.clocks import Drift
-from lss_motion.sim.faults import FOREVER_NS, FaultKind, Faults, SecondMaster
+from lss_motion.sim.faults import FOREVER_NS, RESTARTING, FaultKind, Faults, SecondMaster
 from lss_motion.sim.horn_history import HornHistory
 from lss_motion.sim.motors import Motors
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
@@ -84,9 +84,10 @@ class SimBus:
         """After `record()`: of these, the lines that each servo received, in the order of `servos`.
         A servo that is deaf receives none, and a line for other servos is left out."""
         self.restarts_ns: list[list[int]] = [[] for _ in servos]
-        """When each servo lost its session: the instants of its `reset` faults."""
+        """When each servo lost its session: the instants of its `reset`, `factory`, `exchanged`."""
         self.stored_ns: list[list[tuple[int, Mapping[str, int]]]] = [[] for _ in servos]
-        """When each servo got other settings: its `stored` faults, with wire values by name."""
+        """When each servo got other settings: its `stored`, `factory` and `exchanged` faults, with
+        wire values by name."""
         families = {spec.model.family for spec in servos}
         self._is_ordered = firmware >= ORDERED_FIRMWARE and families != {Family.LSS_PRO}
         self._adapter = Adapter(usb_latency_ns)
@@ -382,7 +383,13 @@ class SimBus:
     def _befall(self, index: int, servo: Servo | None, turn: Turn) -> None:
         fault = turn.fault
         match fault.kind:
-            case FaultKind.RESET | FaultKind.STORED | FaultKind.WRONG_SCALE:
+            case (
+                FaultKind.RESET
+                | FaultKind.STORED
+                | FaultKind.FACTORY
+                | FaultKind.EXCHANGED
+                | FaultKind.WRONG_SCALE
+            ):
                 self._befall_settings(index, servo, turn)
             case FaultKind.HOT:
                 self.motors.heat(index, turn.due_ns, fault.temperature_c)
@@ -410,6 +417,14 @@ class SimBus:
                 if servo is not None:
                     servo.store(fault.settings, turn.due_ns)
                     self._sort_servos()
+            case FaultKind.FACTORY | FaultKind.EXCHANGED:
+                self.restarts_ns[index].append(at_ns)
+                if servo is not None:
+                    anew = servo.renew if fault.kind is FaultKind.FACTORY else servo.exchange
+                    anew(fault.settings, turn.due_ns, fault.deaf_s)
+                    stored = {n: v for n, v in servo.settings.eeprom.items() if v is not None}
+                    self.stored_ns[index].append((at_ns, stored))
+                    self._sort_servos()
             case _ if servo is not None:
                 servo.rescale(fault.setting, fault.scale_ratio, turn.due_ns)
 
@@ -417,7 +432,7 @@ class SimBus:
         fault = turn.fault
         for board in self._boards:
             pins = board.pins if fault.servo_id is None else board.meant(fault.servo_id)
-            if pins and fault.kind is FaultKind.RESET:
+            if pins and fault.kind in RESTARTING:
                 board.reset(turn.due_ns)
             if fault.kind is FaultKind.STORED:
                 board.store(pins, fault.settings)

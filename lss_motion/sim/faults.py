@@ -48,6 +48,8 @@ class FaultKind(StrEnum):
     HOT = "hot"
     INPUT = "input"
     STORED = "stored"
+    FACTORY = "factory"
+    EXCHANGED = "exchanged"
     TWIN = "twin"
 
     LOW_VOLTAGE = "low_voltage"
@@ -82,6 +84,8 @@ MEANINGS = {
     FaultKind.HOT: "a servo has `temperature_c` at once",
     FaultKind.INPUT: "an analog input of an LSS-2IO takes a value",
     FaultKind.STORED: "the `settings` of a servo are these at once, stored ones as well",
+    FaultKind.FACTORY: "a servo restarts with the settings of the factory, but for its id and rate",
+    FaultKind.EXCHANGED: "another servo, with the same id, takes the place of one; see `factory`",
     FaultKind.TWIN: "another servo with the same id is on the bus, from power-up",
     FaultKind.LOW_VOLTAGE: "the supply of the bus gives only `supply_v`",
     FaultKind.WRONG_SCALE: "one unit of `setting` is `scale_ratio` times that of the documents",
@@ -94,10 +98,15 @@ INSTANT = frozenset(
         FaultKind.HOT,
         FaultKind.INPUT,
         FaultKind.STORED,
+        FaultKind.FACTORY,
+        FaultKind.EXCHANGED,
         FaultKind.WRONG_SCALE,
     }
 )
 """These happen once, at `at_s`; all others last until `until_s`."""
+
+RESTARTING = frozenset({FaultKind.RESET, FaultKind.FACTORY, FaultKind.EXCHANGED})
+"""With these a servo restarts."""
 
 ABOUT_DEVICES = INSTANT | {FaultKind.STUCK, FaultKind.WEAK, FaultKind.LOW_VOLTAGE}
 """These begin and end at instants; all others apply to each line or reply that passes."""
@@ -167,10 +176,11 @@ class Fault(Struct, frozen=True, kw_only=True):
     `temperature_c`  for `hot`
     `drift_ppm`      for `clock_drift`: millionths by which the servos' time runs faster
     `raw`            for `input`: the value of the converter, 0 to 1023
-    `deaf_s`         for `reset`: how long the servo receives nothing, less after a dip of its
-                     supply; a board of an LSS-2IO has a time of its own
+    `deaf_s`         for `reset`, `factory`, `exchanged`: how long the servo receives nothing, less
+                     after a dip of its supply; a board of an LSS-2IO has a time of its own
     `settings`       for `stored`: wire values by the name of the setting, such as `{"G": -1}`; ID
-                     acts at once, too. `servo_id` is then the id with which the servo was set up
+                     acts at once, too. `servo_id` is then the id with which the servo was set up.
+                     For `exchanged`: those of the other servo that are not the factory's
     `supply_v`       for `low_voltage`: what the supply gives without load
     `setting`        for `wrong_scale`: one of `SCALED`; the servo takes and answers it so, from
                      then on

@@ -15,7 +15,7 @@ from lss_motion.protocol.codec import language_table, stored_wire
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.boards import RAW_MAX, SENSORS
-from lss_motion.sim.faults import ABOUT_LINE, INSTANT, STEADY, Fault, FaultKind
+from lss_motion.sim.faults import ABOUT_LINE, INSTANT, RESTARTING, STEADY, Fault, FaultKind
 
 if TYPE_CHECKING:
     from lss_motion.protocol.codec import Language
@@ -45,11 +45,11 @@ OWN: dict[str, frozenset[FaultKind]] = {
     "as_id": frozenset({FaultKind.WRONG_ID}),
     "speed_ratio": frozenset({FaultKind.WEAK}),
     "temperature_c": frozenset({FaultKind.HOT}),
-    "deaf_s": frozenset({FaultKind.RESET}),
+    "deaf_s": RESTARTING,
     "raw": frozenset({FaultKind.INPUT}),
     "distance_mm": frozenset({FaultKind.INPUT}),
     "sensor": frozenset({FaultKind.INPUT}),
-    "settings": frozenset({FaultKind.STORED}),
+    "settings": frozenset({FaultKind.STORED, FaultKind.EXCHANGED}),
     "supply_v": frozenset({FaultKind.LOW_VOLTAGE}),
     "setting": frozenset({FaultKind.WRONG_SCALE}),
     "scale_ratio": frozenset({FaultKind.WRONG_SCALE}),
@@ -87,7 +87,8 @@ class FaultEntry(FileModel, title="fault"):
         default=None, description="clock_drift: millionths by which the servos' time runs faster."
     )
     deaf_s: Seconds | None = Field(
-        default=None, description="reset: how long the servo receives nothing; left out: 1.25."
+        default=None,
+        description="reset, factory, exchanged: how long the servo is deaf; left out: 1.25.",
     )
     raw: Annotated[int, Field(ge=0, le=RAW_MAX)] | None = Field(
         default=None, description="input: the value of the converter."
@@ -102,7 +103,8 @@ class FaultEntry(FileModel, title="fault"):
     )
     settings: Annotated[dict[str, float], Field(min_length=1)] | None = Field(
         default=None,
-        description="stored: settings by name, in the units of `lss-motion reference`; ID as well.",
+        description="stored: settings by name, in the units of `lss-motion reference`; ID as well. "
+        "exchanged: those of the other servo that are not the factory's.",
         examples=[{"G": -1, "O": 5.0, "SD": 360}],
     )
     supply_v: Annotated[float, Field(ge=0.0, le=60.0)] | None = Field(

@@ -6,6 +6,7 @@ the replies to queries, in wire units.
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import (
@@ -57,9 +58,9 @@ class Settings:
     def restart(self) -> None:
         self.session = dict(self.eeprom)
 
-    def restore_factory(self) -> None:
-        """Reset every configuration, the id and the baud rate as well (FACTS.md R13)."""
-        self.eeprom = dict(self._factory)
+    def restore_factory(self, kept: Mapping[str, int | None] = MappingProxyType({})) -> None:
+        """Reset every configuration but `kept`, the id and the baud rate as well (FACTS.md R13)."""
+        self.eeprom = {**self._factory, **kept}
 
     def row(self, name: str) -> Row:
         return self._rows[name]
@@ -169,7 +170,7 @@ class Readings:
         self._wire = settings.wire
         self._firmware = firmware
         self._random = random
-        self._serial_number = f"{random.randrange(10**7, 10**8)}"
+        self.serial_number = f"{random.randrange(10**7, 10**8)}"
         self._last_target = 0
         is_pro = self._table.family is Family.LSS_PRO
         physics = motors.physics
@@ -191,7 +192,7 @@ class Readings:
             "C": lambda now_ns: self._wire("C", motors.current_ma(index, now_ns) / 1000.0),
             "MS": lambda _: spec.model.name,
             "MC": lambda _: MODEL_CODES.get(spec.model.name, 0),
-            "N": lambda _: self._serial_number,
+            "N": lambda _: self.serial_number,
             "F": lambda _: self._firmware,
             "FR": lambda _: self._firmware,
         }

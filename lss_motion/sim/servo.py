@@ -417,6 +417,17 @@ class Servo:
         self._apply_session(now_ns)
         self.power_up(self.deaf_until_ns)
 
+    def renew(self, settings: Mapping[str, int], now_ns: int, deaf_s: float) -> None:
+        """Restart with `settings`, and those of the factory but for the id and the baud rate."""
+        own = {name: self.settings.eeprom[name] for name in ("ID", "B")}
+        self.settings.restore_factory({**own, **settings})
+        self.reset(now_ns, deaf_s)
+
+    def exchange(self, settings: Mapping[str, int], now_ns: int, deaf_s: float) -> None:
+        """Be another servo at the same place from now on."""
+        self._readings.serial_number = f"{(int(self._readings.serial_number) + 1):08}"
+        self.renew(settings, now_ns, deaf_s)
+
     def store(self, settings: Mapping[str, int], now_ns: int) -> None:
         """Take wire values by row name at once, for the session and for every later start."""
         self.settings.eeprom |= settings

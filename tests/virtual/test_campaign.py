@@ -88,6 +88,7 @@ FOUND_MIXED = (
     68565,  # A servo restarted while it was asked for its gyre, which was never answered.
     64791,  # Targets in EM0 were held back, since answers came under another id: a filter brakes.
     69669,  # Late answers came behind the next query, and taught nothing: no angle was known.
+    324,  # Another servo took the place of one while the settings were set.
     60333,  # A lag turned out to be larger: three moves of a joint left at once.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

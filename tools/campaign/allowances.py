@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.sim.faults import FaultKind
+from lss_motion.sim.faults import RESTARTING, FaultKind
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ MISSED_KINDS: Final = {
     FaultKind.BLOCKED_PORT,
     FaultKind.UNPLUGGED,
     FaultKind.DEAF,
-    FaultKind.RESET,
+    *RESTARTING,
 }
 """With these a servo loses lines, and receives the next: a timed one keeps its limits
 all the same, for they are set in it; one in EM0 has none."""

@@ -43,7 +43,7 @@ from lss_motion.planning.program.reference_grid import servo_limits
 from lss_motion.playing.perform import Observer, Result, perform
 from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
 from lss_motion.sim.bus import servos_of
-from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
+from lss_motion.sim.faults import INSTANT, REPLY_KINDS, RESTARTING, Fault, FaultKind
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -400,9 +400,7 @@ class _Judge:
 
     def _restarts(self, joint: Joint) -> list[Fault]:
         return [
-            fault
-            for fault in self.faults
-            if fault.kind is FaultKind.RESET and _shares(joint, fault)
+            fault for fault in self.faults if fault.kind in RESTARTING and _shares(joint, fault)
         ]
 
     def _rest(self, joint: Joint, angle: float) -> list[str]:

@@ -15,7 +15,7 @@ from judge.verdict import objections
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
 from lss_motion.sim.bus import servos_of, set_up_settings
-from lss_motion.sim.faults import FaultKind
+from lss_motion.sim.faults import RESTARTING, FaultKind
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _servos(
                     [s_from_ns(at_ns), f.at_s + f.deaf_s]
                     for at_ns in bus.restarts_ns[index]
                     for f in own
-                    if f.kind is FaultKind.RESET and ns_from_s(f.at_s) == at_ns
+                    if f.kind in RESTARTING and ns_from_s(f.at_s) == at_ns
                 ],
                 "step_s": s_from_ns(STEP_NS),
                 "horn_deg": (gyre * seen_deg[:, index] + origin_deg).tolist(),

@@ -112,7 +112,8 @@ def mixed_faults(seed: int, robot: Robot, duration_s: float) -> tuple[Fault, ...
         if random.random() < OLD_RATIO:
             rows.append(_row(random.choice(KINDS), random, ids, duration_s))
         else:
-            draw = DRAWS[random.choice(list(DRAWS))]
+            draws = AWAY if seed % 10 == AWAY_REST else DRAWS
+            draw = draws[random.choice(list(draws))]
             rows += draw(random, random.choice(list(robot.joints.values())), duration_s)
     return tuple(rows)
 
@@ -157,6 +158,38 @@ def _stored_limits(random: Random, joint: Joint, duration_s: float) -> list[Faul
     settings = {"SD": 10 * round(joint.model.speed_max_deg_s), "AA": 100, "AD": 100}
     stored = Fault(kind=FaultKind.STORED, servo_id=joint.servo_id, settings=settings)
     return [stored, *_restart(random, joint, duration_s)]
+
+
+def _other_servo(random: Random, joint: Joint, duration_s: float) -> list[Fault]:
+    """Let a servo come back from the factory, or another one in its place."""
+    frame = random.choice(({}, {"G": -1}, {"O": random.choice((-900, -50, 50, 900))}))
+    kind = random.choice((FaultKind.FACTORY, FaultKind.EXCHANGED))
+    return [
+        Fault(
+            kind=kind,
+            at_s=_at_s(random, duration_s),
+            servo_id=joint.servo_id,
+            deaf_s=random.choice((0.6, 1.25, 2.5)),
+            settings=frame if kind is FaultKind.EXCHANGED else {},
+        )
+    ]
+
+
+def _other_robot(random: Random, joint: Joint, duration_s: float) -> list[Fault]:
+    """Let the port of a bus go, and come back with other servos behind it."""
+    at_s = _at_s(random, duration_s)
+    back_s = at_s + random.choice((0.3, 1.0, 2.0))
+    settings = random.choice(({}, {"G": -1}, {"O": random.choice((-900, -50, 50, 900))}))
+    return [
+        Fault(kind=FaultKind.UNPLUGGED, bus=joint.bus, at_s=at_s, until_s=back_s),
+        Fault(
+            kind=FaultKind.EXCHANGED,
+            bus=joint.bus,
+            at_s=at_s,
+            deaf_s=back_s - at_s,
+            settings=settings,
+        ),
+    ]
 
 
 def _twin(_random: Random, joint: Joint, _duration_s: float) -> list[Fault]:
@@ -226,3 +259,11 @@ DRAWS: Final[dict[str, Callable[[Random, Joint, float], list[Fault]]]] = {
     "second master": _second_master,
 }
 """The kinds that a mixed seed draws besides those above, by name."""
+
+AWAY: Final[dict[str, Callable[[Random, Joint, float], list[Fault]]]] = {
+    "other servo": _other_servo,
+    "other robot": _other_robot,
+}
+"""The same for the seeds with the remainder `AWAY_REST`: other servos than those before."""
+AWAY_REST: Final = 4
+"""Of the mixed seeds, those with this remainder by ten draw from `AWAY`."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.faults import RESTARTING, Fault, FaultKind
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def lawless_ns(
     """Return from when until when a servo may follow such lines, as written and received."""
     own = [fault for fault in faults if fault.servo_id in (None, servo_id)]
     clogs = [fault for fault in own if fault.kind in WAITING]
-    resets = [fault for fault in own if fault.kind is FaultKind.RESET] if clogs else []
+    resets = [fault for fault in own if fault.kind in RESTARTING] if clogs else []
     written = list(_lines_of(writes)) if resets else []
     spans_ns = []
     for reset in resets:

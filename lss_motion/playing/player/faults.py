@@ -11,18 +11,19 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import BusError, LostPortError
+from lss_motion.errors import BusError, LostPortError, LssMotionError
 from lss_motion.playing.player.events import Faulted, Warned
-from lss_motion.playing.player.handshake import Recovery
+from lss_motion.playing.player.handshake import Recovery, not_applied_error, silent_error
 from lss_motion.playing.player.health import turn_text
 from lss_motion.robot.on_fault import ENDING, Cause, FaultStep
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.handshake import Answers
+    from lss_motion.playing.player.preflight import Preflight
     from lss_motion.playing.player.session import Session
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.playing.player.transactions import Item
@@ -411,6 +412,26 @@ class FaultHandler:
         assert self.recovery is not None
         return self.recovery.queries(self._session.original)
 
+    def proof(self, answers: Answers) -> Preflight:
+        """Return the dialogue that compares the servos, which answer again, with what they were."""
+        assert self.recovery is not None
+        return self._session.proof(self.recovery.missing, answers)
+
+    def prove(self, preflight: Preflight, now_ns: int) -> LssMotionError | None:
+        """Return why a servo that was away must not move: it is another one, or answers no more.
+
+        For what it left open it is waited again, if there is time.
+        """
+        try:
+            preflight.require_same()
+        except LssMotionError as error:
+            return error
+        if left := preflight.unproved:
+            return self.wait_again(left, (), preflight.answers, now_ns)
+        if self.recovery is not None:
+            self._end_recovery(self.recovery, preflight.answers)
+        return None
+
     def is_over(self, now_ns: int) -> bool:
         """Return whether the time for the recovery is over, or there is none."""
         return self.recovery is None or now_ns >= self.recovery.give_up_ns
@@ -432,24 +453,33 @@ class FaultHandler:
             self._take(self.escalation.give_up(joint.name, Cause.SILENT, text), now_ns)
         return error
 
-    def end_recovery(self, answers: Answers) -> None:
+    def _end_recovery(self, recovery: Recovery, answers: Answers) -> None:
         """Note that all servos answer again; report those that had restarted."""
-        assert self.recovery is not None
-        for joint in self.recovery.restarted(answers, self._session.original):
+        for joint in recovery.restarted(answers, self._session.original):
             text = f"has restarted: servo {joint.servo_id} {RESTARTED_TEXT}"
             note = self.escalation.note(joint.name, Cause.RESTARTED, text, FaultStep.RESUME)
             self._events.append(note)
 
-    def repeat_recovery(self, silent: Iterable[Joint], wrong: Iterable[Item]) -> None:
-        """Wait again for the servos that answered and then did not take their settings."""
+    def wait_again(
+        self, silent: Sequence[Joint], wrong: Sequence[Item], answers: Answers, now_ns: int
+    ) -> LssMotionError | None:
+        """Wait for servos that fell silent or did not take their settings (`wrong`).
+
+        Return the error if the time for that is over.
+        """
+        session = self._session
+        if self.is_over(now_ns) and wrong:
+            return not_applied_error(wrong[0], answers, session.joints)
+        if self.is_over(now_ns):
+            return silent_error(silent, session.joints, session.robot, answers)
         assert self.recovery is not None
         addresses = {(item.bus, item.command.servo_id) for item in wrong}
-        silent = list(silent)
         self.recovery.replace_missing(
             joint
-            for joint in self._session.driven
+            for joint in session.driven
             if joint in silent or (joint.bus, joint.servo_id) in addresses
         )
+        return None
 
     def _wait_for(self, gone: list[Joint], now_ns: int) -> None:
         """Wait for these servos, too. The whole time begins anew for all."""

@@ -13,7 +13,7 @@ Answers are keyed by `(bus, servo id, keyword)`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec.structs import replace
 
@@ -24,6 +24,7 @@ from lss_motion.protocol.codec import language_table, make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.robot.profile import ramp_setting_deg_s2
+from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
@@ -101,6 +102,30 @@ class SettingsDialogue:
         ]
         items = [*self.wrong, *self._unconfirmed, *read_back(self.wrong), *unconfirmed, *self._then]
         return Dialogue(items, self._lines, self._trackers)
+
+
+STALE_NS: Final = NS_PER_S
+"""After so long settings are set and read again before anything moves. Chosen: longer than that
+takes with servos that all answer; one that restarts is silent for longer."""
+AWAY_NS: Final = NS_PER_S // 4
+"""Another servo is not put in the place of one in less. Chosen."""
+
+
+class Preparation(NamedTuple):
+    """When settings were begun to be set, and how many queries had had no answer until then."""
+
+    from_ns: int = 0
+    timeouts: int = 0
+    is_repeated: bool = False
+    """They are set for the second time, since the first time took long."""
+
+    def is_stale(self, now_ns: int) -> bool:
+        """Return whether the first servo may have restarted while others were set."""
+        return now_ns - self.from_ns > STALE_NS and not self.is_repeated
+
+    def has_missed(self, timeouts: int, now_ns: int) -> bool:
+        """Return whether a servo may have been away meanwhile."""
+        return now_ns - self.from_ns > AWAY_NS and timeouts > self.timeouts
 
 
 def read_back(orders: Iterable[Item]) -> list[Item]:

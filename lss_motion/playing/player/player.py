@@ -26,16 +26,15 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LostPortError, LssMotionError
 from lss_motion.planning.program.verify import driven
-from lss_motion.playing.player import handshake
 from lss_motion.playing.player.events import Phase, PhaseEntered, Warned
 from lss_motion.playing.player.faults import FaultHandler, Verdict
-from lss_motion.playing.player.handshake import SettingsDialogue
+from lss_motion.playing.player.handshake import Preparation, SettingsDialogue
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import BY_NEED
-from lss_motion.playing.player.session import Arrival, Session
+from lss_motion.playing.player.session import COUNT_IN_NS, Arrival, Session
 from lss_motion.playing.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.playing.player.stalls import GAP_NS, StallDetector, stall_text
-from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
+from lss_motion.units import NS_PER_MS, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,12 +54,6 @@ if TYPE_CHECKING:
 
 IDLE_NS: Final = 20 * NS_PER_MS
 """The player is called at least this often: a person may press a key, or telemetry be due."""
-COUNT_IN_NS: Final = 200 * NS_PER_MS
-"""Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
-(13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
-STALE_NS: Final = NS_PER_S
-"""After so long settings are set and read again before anything moves. Chosen: longer than that
-takes with servos that all answer; one that restarts is silent for longer."""
 RATE_LEAST: Final = 0.01
 """A lower rate is a pause: a minute of show would take more than an hour."""
 PLAYING: Final = (Phase.SHOW, Phase.STANDING)
@@ -118,9 +111,8 @@ class Player:
         """The rate that a person set; a fault may reduce it further."""
         self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
         self._streamer: Streamer | None = None
-        self._now_ns = self._approaches = self._prepared_from_ns = 0
-        self._is_repeated = False
-        """Whether the settings are set for the second time, since the first time took long."""
+        self._now_ns = self._approaches = 0
+        self._preparation = Preparation()
         self._has_set = False
         """Whether orders may have changed settings of the servos."""
         self._has_moved, self._stops, self.idle_ns = False, 0, IDLE_NS
@@ -512,15 +504,14 @@ class Player:
         dialogue, self._dialogue = self._dialogue, None
         assert dialogue is not None
         match self.phase:
-            case Phase.CONNECT:
-                assert isinstance(dialogue, Preflight)
+            case Phase.CONNECT if isinstance(dialogue, Preflight):
                 self._connected(dialogue)
-            case Phase.PREPARE:
-                assert isinstance(dialogue, SettingsDialogue)
+            case Phase.RECOVER | Phase.PREPARE if isinstance(dialogue, Preflight):
+                self._proved(dialogue, now_ns)
+            case Phase.PREPARE if isinstance(dialogue, SettingsDialogue):
                 self._prepared(dialogue, now_ns)
             case Phase.RECOVER:
-                self._faults.end_recovery(dialogue.answers)
-                self._prepare()
+                self._dialogue = self._faults.proof(dialogue.answers)
             case Phase.APPROACH:
                 self._arrived(dialogue.answers, now_ns)
             case _:
@@ -550,29 +541,38 @@ class Player:
         else:
             self._prepare()
 
+    def _proved(self, preflight: Preflight, now_ns: int) -> None:
+        """Go on with servos that were away if they are the same as before; wait for the others."""
+        if (error := self._faults.prove(preflight, now_ns)) is not None:
+            self._fail(error)
+        elif preflight.unproved:
+            self._enter(Phase.RECOVER)
+        elif self.phase is Phase.PREPARE and self._preparation.is_repeated:
+            self._approach(now_ns)
+        else:
+            self._prepare(is_repeated=self.phase is Phase.PREPARE)
+
     def _prepare(self, *, is_repeated: bool = False) -> None:
         self._has_set, self._approaches = True, 0
-        self._prepared_from_ns, self._is_repeated = self._now_ns, is_repeated
+        self._preparation = Preparation(self._now_ns, self._session.timeouts, is_repeated)
         self._enter(Phase.PREPARE)
         self._dialogue = self._session.settings_dialogue()
 
     def _prepared(self, settings: SettingsDialogue, now_ns: int) -> None:
         if self._has_lost_turns(settings.answers, now_ns):
             return
-        joints, answers = self._session.joints, settings.answers
-        silent = self._session.note_positions(answers)
-        is_stale = now_ns - self._prepared_from_ns > STALE_NS and not self._is_repeated
-        if not settings.wrong and not silent and is_stale:
-            self._prepare(is_repeated=True)  # The first may have restarted while others were set.
-        elif not settings.wrong and not silent:
-            self._approach(now_ns)
-        elif not self._faults.is_over(now_ns):
-            self._faults.repeat_recovery(silent, settings.wrong)
-            self._enter(Phase.RECOVER)
-        elif settings.wrong:
-            self._fail(handshake.not_applied_error(settings.wrong[0], answers, joints))
+        silent = self._session.note_positions(settings.answers)
+        if settings.wrong or silent:
+            if error := self._faults.wait_again(silent, settings.wrong, settings.answers, now_ns):
+                self._fail(error)
+            else:
+                self._enter(Phase.RECOVER)
+        elif self._preparation.has_missed(self._session.timeouts, now_ns):
+            self._dialogue = self._session.proof(self._session.driven, settings.answers)
+        elif self._preparation.is_stale(now_ns):
+            self._prepare(is_repeated=True)
         else:
-            self._fail(handshake.silent_error(silent, joints, self.robot, answers))
+            self._approach(now_ns)
 
     def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
         """End the run if a joint is in another turn than it was: no move takes it back."""

@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BusError, PlaybackError
 from lss_motion.playing.player import checks
 from lss_motion.playing.player.handshake import query, standing_deg
 from lss_motion.playing.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
 from lss_motion.playing.player.transactions import Conversation, Dialogue, Item
+from lss_motion.protocol.codec import storable
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import Command, encode
 from lss_motion.units import NS_PER_MS
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
     from lss_motion.playing.player.checks import Refusal
+    from lss_motion.playing.player.handshake import Answers
     from lss_motion.playing.player.query_tracker import QueryTracker
     from lss_motion.playing.player.serial_line import SerialLine
     from lss_motion.protocol.framing import Reply
@@ -44,6 +47,15 @@ ASKED_MOST: Final = 8
 """A servo is asked for its serial number so often, while its answers stay doubtful. Chosen: at
 500000 bps about half of the replies of two servos do not overlap, and each number must come twice.
 One of 100 such pairs is not found."""
+IDENTITY: Final = {
+    "MS": "model",
+    "F": "firmware",
+    "N": "serial number",
+    "G": "gyre",
+    "O": "origin",
+    "AR": "angular range",
+}
+"""What makes a servo another one, or its angles other ones: it does not change while it is away."""
 TWIN_SPREAD_NS: Final = 5 * NS_PER_MS
 """The other servo of an id answers at most so much later: 2 ms (FACTS.md W14), and a margin."""
 
@@ -186,9 +198,12 @@ class Preflight:
     `more` are further queries. With `reads_stored` the stored settings of all servos are read,
     otherwise only those of servos whose present frame is wrong. `show` are the escalations of the
     show.
+
+    With `before`, the servos were away since that preflight, and have given `answers` since: they
+    are asked what makes a servo another one, and must answer as they did then (`require_same`).
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (what differs between its callers)
         self,
         joints: Iterable[Joint],
         robot: Robot,
@@ -199,18 +214,24 @@ class Preflight:
         led_joints: Container[str] = (),
         reads_stored: bool = False,
         show: Escalations | None = None,
+        before: Preflight | None = None,
+        answers: Answers = MappingProxyType({}),
     ) -> None:
-        self.answers: dict[tuple[str, int, str], int | str | None] = {}
+        self.answers: dict[tuple[str, int, str], int | str | None] = dict(answers)
         self.stored: dict[tuple[str, int, str], int | str | None] = {}
         self.twins: TwinSearch | None = None
         self._joints = list(joints)
         self._robot = robot
         self._lines = lines
         self._trackers = trackers
-        self._reads_stored = reads_stored
+        self._reads_stored = reads_stored or (before is not None and bool(before.stored))
         self._show = show
-        self._before = {bus: self._disturbances(bus) for bus in lines}
-        items = [*checks.queries(self._joints, led_joints), *more]
+        self._before = before
+        self._calm = {bus: self._disturbances(bus) for bus in lines}
+        if before is None:
+            items = [*checks.queries(self._joints, led_joints), *more]
+        else:
+            items = _identity_queries(self._joints, before.answers)
         self._rounds = self._all_rounds(items)
         self._round: Dialogue | TwinSearch | None = next(self._rounds)
 
@@ -261,6 +282,27 @@ class Preflight:
                     url=bus.port,
                 )
 
+    def require_same(self) -> None:
+        """Raise if a servo is another one than before, was set up anew, or shares its id.
+
+        Serial numbers are first asked for by the first such preflight: they are compared later.
+        """
+        assert self._before is not None
+        self.require_own_ids()
+        if found := self._refusals():
+            raise checks.combined(found)
+        serials = {key: value for key, value in self.answers.items() if key[2] == "QN"}
+        self._before.answers |= serials
+
+    @property
+    def unproved(self) -> list[Joint]:
+        """The joints whose servos have not answered all that they did before."""
+        assert self._before is not None
+        known = {key for key in self._before.answers if key[2][1:] in IDENTITY}
+        left = (known - self.answers.keys()) | (self._before.stored.keys() - self.stored.keys())
+        servos = {(bus, servo_id) for bus, servo_id, _ in left}
+        return [joint for joint in self._joints if (joint.bus, joint.servo_id) in servos]
+
     # ---- the rounds
 
     def _all_rounds(self, items: Sequence[Item]) -> Iterator[Dialogue | TwinSearch]:
@@ -268,7 +310,7 @@ class Preflight:
         first = self._dialogue(items)
         yield first
         self.answers |= first.answers
-        disturbed = [j for j in self._joints if self._disturbances(j.bus) > self._before[j.bus]]
+        disturbed = [j for j in self._joints if self._disturbances(j.bus) > self._calm[j.bus]]
         if disturbed:
             self.twins = TwinSearch(disturbed, self._lines, self._trackers)
             yield self.twins
@@ -280,8 +322,11 @@ class Preflight:
             self.answers |= again.answers
         wrong = {refusal.joint.name for refusal in self._refusals() if refusal.is_frame}
         joints = [j for j in self._joints if self._reads_stored or j.name in wrong]
-        if joints:
-            stored = self._dialogue(checks.stored_queries(joints))
+        items = checks.stored_queries(joints)
+        if self._before is not None:
+            items = [item for item in items if _address(item) in self._before.stored]
+        if items:
+            stored = self._dialogue(items)
             yield stored
             self.stored |= stored.answers
         doubtful = [refusal for refusal in self._refusals() if refusal.is_stored]
@@ -300,6 +345,8 @@ class Preflight:
     def _refusals(self) -> list[Refusal]:
         present = standing_deg(self._joints, self.answers)
         joints = [joint for joint in self._joints if joint.name in present]
+        if self._before is not None:
+            return _exchanges(joints, self, self._before, self._robot)
         return checks.refusals(joints, self.answers, self.stored, self._robot, self._show)
 
     def _unanswered(self) -> list[Item]:
@@ -307,14 +354,15 @@ class Preflight:
 
         It may have restarted in between, which takes longer than all tries of one query.
         """
+        if self._before is not None:
+            items = _identity_queries(self._joints, self._before.answers)
+            return [item for item in items if _address(item) not in self.answers]
         present = standing_deg(self._joints, self.answers)
         answering = {address[:2] for address in self.answers}
         joints = [one for one in self._joints if (one.bus, one.servo_id) in answering]
         angles = [query(joint, "QD") for joint in joints if joint.name not in present]
         frames = [
-            item
-            for item in checks.frame_queries(joints)
-            if (item.bus, item.command.servo_id, item.command.keyword) not in self.answers
+            item for item in checks.frame_queries(joints) if _address(item) not in self.answers
         ]
         return angles + frames
 
@@ -322,7 +370,7 @@ class Preflight:
         """Return the queries behind refusals once more; several answers must agree."""
         items = []
         for refusal in doubtful:
-            is_disturbed = self._disturbances(refusal.joint.bus) > self._before[refusal.joint.bus]
+            is_disturbed = self._disturbances(refusal.joint.bus) > self._calm[refusal.joint.bus]
             for keyword in refusal.keywords:
                 item = query(refusal.joint, keyword)
                 item = replace(item, agreeing=AGREEING) if is_disturbed else item
@@ -330,6 +378,74 @@ class Preflight:
                     item = replace(item, command=item.command._replace(value=1))
                 items.append(item)
         return list(dict.fromkeys(items))
+
+
+def _address(item: Item) -> tuple[str, int, str]:
+    return item.bus, item.command.servo_id, item.command.keyword
+
+
+# ---- servos that were away
+
+
+def _identity_queries(joints: Iterable[Joint], before: Answers) -> list[Item]:
+    """Return the queries that show whether servos are still those that answered `before`.
+
+    A serial number, which is not asked for before a show, is asked for in any case.
+    """
+    return [
+        Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_query=True)
+        for joint in joints
+        for keyword in (f"Q{name}" for name in IDENTITY)
+        if (joint.bus, joint.servo_id, keyword) in before
+        or (keyword == "QN" and joint.model.family is not Family.IO2)
+    ]
+
+
+def _exchanges(
+    joints: Iterable[Joint], asked: Preflight, before: Preflight, robot: Robot
+) -> list[Refusal]:
+    """Return one refusal for each joint whose servo does not answer as it did `before`.
+
+    Another one may have taken its place, or it was set up anew, while it was away.
+    """
+    return [refusal for joint in joints for refusal in _exchange(joint, asked, before, robot)]
+
+
+def _exchange(joint: Joint, asked: Preflight, before: Preflight, robot: Robot) -> Iterator[Refusal]:
+    for new, old, is_stored in (
+        (asked.answers, before.answers, False),
+        (asked.stored, before.stored, True),
+    ):
+        names = (*checks.FRAME, *checks.STORED_LIMITS) if is_stored else tuple(IDENTITY)
+        keys = {name: (joint.bus, joint.servo_id, f"Q{name}") for name in names}
+        other = [n for n, key in keys.items() if key in new and key in old and new[key] != old[key]]
+        if not other:
+            continue
+        kept = "stored " if is_stored else ""
+        values = [
+            " and ".join(
+                f"{kept}{IDENTITY.get(name, 'limit')} ({name}) {_shown(joint, name, value)}"
+                for name, value in ((name, one[keys[name]]) for name in other)
+            )
+            for one in (new, old)
+        ]
+        error = PlaybackError(
+            f"joint {joint.name!r}: servo {joint.servo_id} has {values[0]} since it was away, and "
+            f"had {values[1]}: another servo is in its place, or it was set up anew. It is not "
+            f"driven. Put the right one back, or look at {robot.path or 'the robot file'}, and "
+            f"begin anew",
+            joint=joint.name,
+        )
+        yield checks.Refusal(joint, tuple(f"Q{name}" for name in other), error, is_stored=is_stored)
+        return
+
+
+def _shown(joint: Joint, name: str, value: int | str | None) -> str:
+    """Return the value of a setting for a person."""
+    row = storable(joint.model.language).get(name)
+    if row is None or not isinstance(value, int):
+        return str(value)
+    return f"{row.physical(value):g} {row.unit}".rstrip()
 
 
 class Examination(Conversation):

@@ -32,7 +32,7 @@ from lss_motion.playing.player.unasked import UnaskedWatches
 from lss_motion.protocol.framing import Command, encode
 from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.profile import profile_lead_s
-from lss_motion.units import s_from_ns
+from lss_motion.units import NS_PER_MS, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping
@@ -53,6 +53,9 @@ UNRESTORED_TEXT: Final = (
 )
 
 
+COUNT_IN_NS: Final = 200 * NS_PER_MS
+"""Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
+(13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
 APPROACHES_MAX: Final = 3
 """Chosen: a move that the line lost is sent again, but a joint that cannot reach its start is not
 pushed for ever."""
@@ -96,6 +99,7 @@ class Session:
         self.start_s = start_s
         self.original: Answers = {}
         """Answers of every servo before anything was changed."""
+        self._before: Preflight | None = None
         self.standing_deg: dict[str, float] = {}
         """Servo angles by joint, as of the last query while nothing moved."""
         self.watched = SensorWatch(())
@@ -117,6 +121,11 @@ class Session:
     def lent(self) -> set[str]:
         """The joints that shows beside the present one move."""
         return {name for streamer in self.beside for name in streamer.joint_states}
+
+    @property
+    def timeouts(self) -> int:
+        """How many queries had no answer, on all buses."""
+        return sum(tracker.timeouts for tracker in self.trackers.values())
 
     def leave_out(self, name: str) -> None:
         """Send a joint no move from now on."""
@@ -161,6 +170,15 @@ class Session:
             show=self.program.on_fault,
         )
 
+    def proof(self, joints: Iterable[Joint], answers: Answers) -> Preflight:
+        """Return the dialogue with servos that were away, before anything moves them.
+
+        They have given `answers` since.
+        """
+        return Preflight(
+            joints, self.robot, self.lines, self.trackers, before=self._before, answers=answers
+        )
+
     def settings_dialogue(self) -> SettingsDialogue:
         """Return the dialogue that gives the servos their settings and polls their positions."""
         orders = handshake.session_orders(self.driven, self.original)
@@ -187,7 +205,7 @@ class Session:
 
         Raises if a servo or a sensor is missing, or a servo must not do what the program requires.
         """
-        self.original = preflight.answers
+        self.original, self._before = preflight.answers, preflight
         self.standing_deg = handshake.standing_deg(self.joints, preflight.answers)
         preflight.require_own_ids()
         self.unasked.start()

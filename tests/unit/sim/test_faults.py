@@ -222,6 +222,28 @@ def test_stored_settings_act_at_once_and_after_a_restart(make_host, make_servo):
     assert [host.ask("#5QG"), host.ask("#5QD")] == ["*5QG-1|", "*5QD-150|"]
 
 
+def test_a_servo_back_from_the_factory_keeps_its_id_only(make_host, make_servo):
+    row = Fault(kind=FaultKind.FACTORY, servo_id=5, at_s=0.5, deaf_s=0.2)
+    host = make_host(make_servo(5, start_deg=20.0, eeprom={"G": -1, "O": 50}), faults=[row])
+    serial = host.ask("#5QN")
+    assert [host.ask("#5QG"), host.ask("#5QD")] == ["*5QG-1|", "*5QD-150|"]
+    host.wait_s(0.6)
+    assert host.ask("#5QG") == ""
+    host.wait_s(0.2)
+    answers = [host.ask(line) for line in ("#5QG", "#5QG1", "#5QD", "#5QN")]
+    assert answers == ["*5QG1|", "*5QG1|", "*5QD200|", serial]
+
+
+def test_an_exchanged_servo_has_its_own_number_and_settings(make_host, make_servo):
+    row = Fault(kind=FaultKind.EXCHANGED, servo_id=5, at_s=0.5, settings={"O": 30})
+    host = make_host(make_servo(5, start_deg=20.0, eeprom={"SD": 900}), faults=[row])
+    serial = host.ask("#5QN")
+    host.wait_s(2.0)
+    assert [host.ask("#5QO1"), host.ask("#5QD")] == ["*5QO30|", "*5QD170|"]
+    assert host.ask("#5QSD1") != "*5QSD900|"
+    assert host.ask("#5QN") not in ("", serial)
+
+
 def test_servos_may_have_exchanged_their_ids(make_host, make_servo):
     faults = [
         Fault(kind=FaultKind.STORED, servo_id=5, settings={"ID": 6}),
@@ -442,6 +464,8 @@ def test_mixed_rows_are_the_same_for_a_seed_and_cover_every_kind(two_buses):
     assert {fault.kind for some in rows for fault in some} >= {
         *KINDS,
         FaultKind.STORED,
+        FaultKind.FACTORY,
+        FaultKind.EXCHANGED,
         FaultKind.TWIN,
         FaultKind.BLOCKED_PORT,
         FaultKind.LOW_VOLTAGE,

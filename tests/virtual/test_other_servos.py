@@ -1,0 +1,90 @@
+"""A servo that was away is compared again with what it was before it is sent any move."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from lss_motion.robot.on_fault import Cause
+from lss_motion.sim.faults import Fault, FaultKind
+
+S = 1_000_000_000
+AT_S = 2.4
+SPEED_DEG_S = 180.0
+
+
+def exchanged(at_s=AT_S, deaf_s=1.0, servo_id=2, **settings):
+    return Fault(
+        kind=FaultKind.EXCHANGED, servo_id=servo_id, at_s=at_s, deaf_s=deaf_s, settings=settings
+    )
+
+
+def factory(at_s=AT_S, deaf_s=1.0):
+    return Fault(kind=FaultKind.FACTORY, servo_id=2, at_s=at_s, deaf_s=deaf_s)
+
+
+def unplugged(at_s=AT_S, gone_s=1.0):
+    return Fault(kind=FaultKind.UNPLUGGED, at_s=at_s, until_s=at_s + gone_s)
+
+
+def play(stage, kit, faults, *, stored=None, **fields):
+    robot = kit.robot(3, baud_bps=115200, **fields)
+    joints = {n: replace(one, stored=stored or {}) for n, one in robot.joints.items()}
+    robot = replace(robot, joints=joints)
+    sequence = kit.sequence(3, 4.0, seed=5, swing_deg=70.0, step_s=(0.5, 0.8))
+    return stage.play(robot, sequence, faults=faults, start_deg={"j0": 25.0, "j1": -20.0})
+
+
+def require_still(played, at_s=AT_S):
+    """Require that no horn left its range or its speed, and no other servo got a move."""
+    end_ns = played.bus.lines[-1][0]
+    speed, _ = played.speeds(0, end_ns)
+    assert np.abs(speed).max() <= 1.05 * SPEED_DEG_S
+    assert np.abs(played.bus.horn_deg(range(0, end_ns, 5_000_000))).max() <= 90.5
+    after_ns = int((at_s + 0.1) * S)
+    assert not [line for line in played.lines(after_ns=after_ns) if re.match(rb"#2D", line)]
+
+
+@pytest.mark.parametrize("settings", [{"G": -1}, {"O": 900}, {"O": -300, "G": -1}, {"AR": 900}])
+def test_a_servo_that_took_the_place_of_another_is_named_and_never_driven(stage, kit, settings):
+    played = play(stage, kit, [exchanged(**settings)])
+    assert played.report.outcome == "fault"
+    text = str(played.result.error)
+    assert "joint 'j1': servo 2" in text
+    assert all(f"({name})" in text for name in settings)
+    require_still(played)
+
+
+@pytest.mark.parametrize("stored", [{"O": 30.0}, {"G": -1.0}])
+def test_a_servo_that_is_back_from_the_factory_is_never_driven(stage, kit, stored):
+    played = play(stage, kit, [factory()], stored=stored)
+    assert played.report.outcome == "fault"
+    assert "servo 2 has " in str(played.result.error)
+    assert f"({next(iter(stored))})" in str(played.result.error)
+    require_still(played)
+
+
+@pytest.mark.parametrize("gone_s", [0.3, 1.0])
+def test_another_robot_behind_the_port_is_never_driven(stage, kit, gone_s):
+    other = exchanged(deaf_s=gone_s, servo_id=None, O=1200)
+    played = play(stage, kit, [unplugged(gone_s=gone_s), other])
+    assert played.report.outcome == "fault"
+    assert "origin (O) 120 deg" in str(played.result.error)
+    require_still(played)
+    assert not [line for line in played.lines(after_ns=int(3 * S)) if re.match(rb"#\d+D", line)]
+
+
+def test_a_servo_of_the_same_settings_goes_on_with_them(stage, kit):
+    played = play(stage, kit, [factory()])
+    assert played.report.outcome == "finished"
+    assert {fault.kind for fault in played.report.faults} >= {Cause.RESTARTED}
+
+
+def test_a_damaged_answer_about_a_servo_that_is_back_refuses_nothing(stage, kit):
+    bad = Fault(kind=FaultKind.CORRUPT_REPLY, at_s=AT_S, ratio=0.2)
+    reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=AT_S, deaf_s=1.0)
+    played = play(stage, kit, [reset, bad])
+    assert played.report.outcome == "finished"
