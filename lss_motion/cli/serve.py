@@ -46,7 +46,7 @@ the show within the limits and gives the servos their settings back; twice ends 
 Of several figures each is served by itself. That of the conductor has the page, with the cues, all
 computers and one STOP for all; with --go it plays the first show as soon as all are there. At the
 others s and Enter stops all, ? and Enter tells the rest. With --no-pages the conductor is steered
-like that, too, and cues fire only by their names.
+like that, too, and cues fire by their names, or by triggers of the figures.
 
 Exit codes: 0 ended; 2 a file or argument must change; 3 a show cannot be planned; 4 the port or the
 servos are not there (with --wait-port they are waited for); 5 the robot did not follow.

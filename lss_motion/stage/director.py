@@ -105,6 +105,8 @@ class Director:
         self._reasons: tuple[str, ...] = ()
         self._rate = 1.0
         self._again_ns: int | None = None
+        self._is_halted = False
+        """Whether a person has stopped all: the idle show waits until something is played."""
         if waits_for_go:
             self.duty.begin(Reason.GO)
         if start_at is not None:
@@ -251,6 +253,11 @@ class Director:
         self._do(deed)
         self._settle()
 
+    def halt(self, now_ns: int) -> None:
+        """Stop all shows for a person; the idle show waits for GO, a cue or `wake`."""
+        self._is_halted = True
+        self.do("stop", now_ns)
+
     def leave(self, number: int, now_ns: int) -> None:
         """Leave the show of that number: what it follows is elsewhere."""
         self._now_ns = now_ns
@@ -291,6 +298,9 @@ class Director:
         if Reason.GO in self.duty.reasons:
             self.duty.end(Reason.GO)
             self._orders.append(orders.Noted("GO: the stage begins"))
+        elif name is None and self._is_halted:
+            self._is_halted = False
+            self._orders.append(orders.Noted("GO: the stage goes on"))
         elif name is None:
             self._refuse("GO", signal, "no cue waits for GO, and none is armed")
         elif self._fire(self._known(name), signal):
@@ -431,6 +441,7 @@ class Director:
     def _note_fire(self, cue: Cue) -> None:
         """Do what a cue that fires does besides its show."""
         self._fired_ns[cue.name] = self._now_ns
+        self._is_halted = self._is_halted and not cue.shows
         if self.armed == cue.name and cue.follows:
             self.armed = None
         for name in (*cue.enables, *cue.disables):
@@ -614,6 +625,7 @@ class Director:
             case "rest":
                 self.duty.begin(Reason.OPERATOR)
             case "wake":
+                self._is_halted = False
                 self.duty.wake()
 
     # ---- what comes next
@@ -667,6 +679,8 @@ class Director:
             waiting = max(self.queue, key=lambda one: one.cue.priority)  # The oldest of equals.
             self.queue.remove(waiting)
             self._play(waiting.show, waiting.cue)
+        elif self._is_halted:
+            return
         elif idle in self.shows and (self._again_ns is None or self._now_ns >= self._again_ns):
             assert idle is not None
             self._again_ns = None

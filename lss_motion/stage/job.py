@@ -153,6 +153,31 @@ class Directed(Protocol):
     def state_of(self) -> Record: ...
 
 
+def direct(run: Directed, operation: m.AnyOperation) -> bool:
+    """Hand an operation to the director of a stage; return whether it is one of a stage."""
+    director, now_ns = run.director, run.now_ns
+    match operation:
+        case s.Trigger() | s.Cue() | m.Go():
+            director.signal(signal_of(operation, run.stage), now_ns)
+        case m.Follow() if run.timecode is not None:
+            run.timecode.take(operation, now_ns)
+        case s.Enable():
+            director.enable(operation.cue, is_enabled=operation.is_enabled)
+        case s.Arm():
+            director.arm(operation.cue)
+        case s.StagePlay():
+            director.play(operation.show, now_ns)
+        case s.StageStop():
+            director.do("stop", now_ns)
+        case s.StageRest():
+            director.do("rest", now_ns)
+        case s.StageWake():
+            director.do("wake", now_ns)
+        case _:
+            return False
+    return True
+
+
 class StageSteering(Steering):
     """A client that steers a stage, also between two runs of the player."""
 
@@ -256,27 +281,7 @@ class StageSteering(Steering):
     def _direct(self, operation: m.AnyOperation) -> bool:
         """Hand an operation to the director; return whether it is one of a stage."""
         assert self._run is not None
-        director, now_ns = self._run.director, self._run.now_ns
-        match operation:
-            case s.Trigger() | s.Cue() | m.Go():
-                director.signal(signal_of(operation, self._run.stage), now_ns)
-            case m.Follow() if self._run.timecode is not None:
-                self._run.timecode.take(operation, now_ns)
-            case s.Enable():
-                director.enable(operation.cue, is_enabled=operation.is_enabled)
-            case s.Arm():
-                director.arm(operation.cue)
-            case s.StagePlay():
-                director.play(operation.show, now_ns)
-            case s.StageStop():
-                director.do("stop", now_ns)
-            case s.StageRest():
-                director.do("rest", now_ns)
-            case s.StageWake():
-                director.do("wake", now_ns)
-            case _:
-                return False
-        return True
+        return direct(self._run, operation)
 
     def _apply_rate(self, player: Player, now_ns: int) -> None:  # noqa: ARG002
         """Send the rate that was asked for; the run sets it, together with that of the budgets."""

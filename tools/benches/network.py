@@ -27,6 +27,7 @@ from lss_motion.playing.player.show_clock import Leg
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.stage.hosts.clocks import EVERY_NS, ClockEstimator, Exchange
+from lss_motion.stage.hosts.conductor import State
 from lss_motion.stage.hosts.host import TICK_NS
 from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, Status, packed, parse
 from lss_motion.stage.hosts.settings import NetworkSettings
@@ -332,12 +333,12 @@ def many() -> list[Row]:
     )
     world.tick_ns = 50 * NS_PER_MS
     world.verify_ns = round(verify_s * NS_PER_S)
-    world.conductor.load(world.cast)
-    assert world.run(300.0, lambda: not world.conductor.problems(world.now_ns)), world.notes[-5:]
+    while world.conductor.state is not State.ARMING:
+        if world.conductor.state in (State.CONNECTING, State.STANDING):
+            world.play()  # It was refused, as plans were fetched for too long.
+        world.run(0.1)
     ready_s = world.now_ns / NS_PER_S
-    world.conductor.arm(world.now_ns)
-    assert world.run(60.0, lambda: world.conductor.is_armed(world.now_ns))
-    world.conductor.start(world.now_ns)
+    world.wait(State.PLAYING)
     world.run(5.0)
     before = (world.from_conductor_bytes, world.to_conductor_bytes)
     world.run(5.0)

@@ -12,10 +12,10 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass, field
 from random import Random
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.stage.hosts.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
-from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor
+from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor, State, Wish
 from lss_motion.stage.hosts.figure import (
     Action,
     Arm,
@@ -257,6 +257,10 @@ class World:
             instance=hash_of(b"conductor")[:16],
             others=others,  # type: ignore[arg-type]
         )
+        self._number = 0
+        self.told: list[tuple[Any, ...]] = []
+        """What became of orders, each with its number."""
+        self.conductor.listener = self
         self.is_conducting = True
         self.notes: list[str] = []
         self.hosts = {}
@@ -309,7 +313,7 @@ class World:
         if self.is_conducting:
             self.notes += self.conductor.tick(self.now_ns)
             conductor = self.conductor
-            state = (conductor.wanted, conductor.run, conductor.leg, conductor.cast)
+            state = (conductor.wanted, conductor.run, conductor.legs.newest, conductor.cast)
             if self.now_ns >= self._beat_ns or state != self._beaten:
                 self._beat_ns, self._beaten = self.now_ns + BEAT_NS, state
                 self._beat()
@@ -332,13 +336,35 @@ class World:
         """Return the states of all figures."""
         return {host.figure.state for host in self.hosts.values()}
 
+    def connected(self, text: str, now_ns: int) -> None:  # noqa: ARG002  (`conductor.Listener`)
+        """Note that the stage may begin."""
+        self.told.append(("connected", text))
+
+    def refused(self, number: int, reason: str, now_ns: int) -> None:  # noqa: ARG002
+        """Note that a show was refused."""
+        self.told.append(("refused", number, reason))
+
+    def ended(self, number: int, outcome: str, show_s: float | None, now_ns: int) -> None:  # noqa: ARG002
+        """Note that a show is over."""
+        self.told.append((outcome, number, show_s))
+
+    def faulted(self, cause: str, text: str, now_ns: int) -> None:  # noqa: ARG002
+        """Note that a show ended with a fault."""
+        self.told.append(("faulted", cause, text))
+
+    def play(self, **fields: Any) -> None:  # noqa: ANN401
+        """Order the show, as the director would."""
+        self._number += 1
+        self.conductor.play(Wish(number=self._number, cast=self.cast, **fields), self.now_ns)
+
+    def wait(self, *states: State, seconds: float = 60.0) -> None:
+        """Let time pass until the conductor is in one of these states."""
+        assert self.run(seconds, lambda: self.conductor.state in states), self.notes
+
     def go(self) -> None:
-        """Load, arm and start, as a person would."""
-        self.conductor.load(self.cast)
-        assert self.run(60.0, lambda: not self.conductor.problems(self.now_ns)), self.notes
-        self.conductor.arm(self.now_ns)
-        assert self.run(60.0, lambda: self.conductor.is_armed(self.now_ns)), self.notes
-        self.conductor.start(self.now_ns)
+        """Play the show from its start."""
+        self.play()
+        self.wait(State.PLAYING)
 
     def spread_ns(self, show_s: float) -> list[float]:
         """Return at which true instants the hosts are at `show_s`, by the legs they were told."""

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from lss_motion.stage.hosts.conductor import READY_S
 from rig.stage import PLAIN, WIFI, RigStage, why_not
 
 if TYPE_CHECKING:
@@ -153,21 +154,6 @@ def settle(rig: RigStage, missing: list[str]) -> None:
     raise TimeoutError
 
 
-def make_ready(rig: RigStage, missing: list[str], but: str = "") -> None:
-    """Let the conductor load the show again, and wait until all figures are ready for it."""
-    end = time.monotonic() + START_S
-    rig.say(rig.names[0], "l show")
-    while time.monotonic() < end:
-        states = rig.states()
-        if len(states) == len(rig.names) and all(
-            state == "ready" for name, state in states.items() if name != but
-        ):
-            return
-        time.sleep(0.3)
-    missing.append(f"not ready: {rig.states()}")
-    raise TimeoutError
-
-
 def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[str]) -> None:
     """Bring the show to play, let the fault happen, and wait for what must follow."""
 
@@ -181,14 +167,13 @@ def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[s
         raise TimeoutError
 
     if fault == "wrong keys":
-        wrong_keys(rig, victim, expect, missing)
+        wrong_keys(rig, victim, expect)
         return
     if rig.is_directed:
         fire(rig, random, missing)
     else:
-        make_ready(rig, missing)
         mark = len(rig.log("f0"))
-        rig.say("f0", "g")
+        order(rig, "GO: the robots move", mark)
         expect("f0", "all stand at the start", START_S, mark)
         expect("f0", "armed -> playing", 30.0, mark)
     time.sleep(random.uniform(0.0, 3.0))
@@ -197,6 +182,14 @@ def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[s
         time.sleep(random.uniform(0.0, 6.0))
     marks = {name: len(rig.log(name)) for name in rig.names}
     DEEDS[fault](rig, victim, random, lambda n, p, s: expect(n, p, s, marks[n]))
+
+
+def order(rig: RigStage, pattern: str, mark: int) -> None:
+    """Order the show until that is taken up: not before all figures are there."""
+    end = time.monotonic() + START_S
+    while pattern not in rig.log("f0")[mark:] and time.monotonic() < end:
+        rig.say("f0", "l show")
+        time.sleep(3.0)
 
 
 def fire(rig: RigStage, random: Random, missing: list[str]) -> None:
@@ -213,17 +206,16 @@ def fire(rig: RigStage, random: Random, missing: list[str]) -> None:
     raise TimeoutError
 
 
-def wrong_keys(rig: RigStage, victim: str, expect: Callable[..., int], missing: list[str]) -> None:
+def wrong_keys(rig: RigStage, victim: str, expect: Callable[..., int]) -> None:
     """Let a host come back with keys of another authority: it stays out until it has its own."""
     right = rig.folder / "keys"
     rig.kill(victim)
     rig.write_stage(victim, rig.folder / "wrong")
     rig.start(victim)
     time.sleep(4.0)
-    make_ready(rig, missing, but=victim)
     mark = len(rig.log("f0"))
-    rig.say("f0", "g")
-    expect("f0", f"refused: .*{victim}", 20.0, mark)
+    order(rig, "loads 'show'", mark)
+    expect("f0", f"refused: .*{victim}", READY_S + 20.0, mark)
     mark = len(rig.log(victim))
     rig.kill(victim)
     rig.write_stage(victim, right)

@@ -86,6 +86,7 @@ def measure_start(rig: RigStage) -> None:
     """Print how long it takes until all are ready, and until all stand at the start."""
     before = cpu_s()
     rig.start_all()
+    rig.say("f0", "l show")
     rig.wait("f0", "loads 'show'", 900)
     loaded = time.monotonic()
     for name in rig.names:
@@ -93,7 +94,7 @@ def measure_start(rig: RigStage) -> None:
     print(f"from the load to all ready: {time.monotonic() - loaded:.1f} s")
     plans = list((rig.folder / "f1.store").iterdir())
     print(f"fetched by one figure: {sum(one.stat().st_size for one in plans) / 1e6:.2f} MB")
-    rig.go()
+    rig.wait("f0", "all stand at the start", 300)
     print("GO:", re.search(r"all stand at the start after ([\d.]+ s)", rig.log("f0"))[0])  # type: ignore[index]
     after = cpu_s()
     for kind, used_s in sorted(after.items()):
@@ -112,7 +113,7 @@ def measure(rig: RigStage, hosts: int, show_s: float) -> None:
     for name in rig.names:
         rig.wait(name, "-> ready", 300)
     print(f"all ready {time.monotonic() - loaded:.1f} s after the last host was started")
-    rig.go()
+    rig.wait("f0", "all stand at the start", 300)
     print("GO:", re.search(r"all stand at the start after ([\d.]+ s)", rig.log("f0"))[0])  # type: ignore[index]
     before = cpu_s()
     idle = start_idle(hosts, show_s - 4.0)

@@ -96,7 +96,7 @@ class RigStage:
     ) -> None:
         """`is_separate`: a sequence for each figure, planned alone, in place of one for all.
 
-        `is_directed`: the conductor obeys the cues of the stage (`rig.direct`), not only lines.
+        `is_directed`: the stage has cues.
         """
         self.folder, self.seed, self.line = folder, seed, line
         self.names = [f"f{index}" for index in range(hosts)]
@@ -272,11 +272,10 @@ class RigStage:
         stores = [str(self.folder / f"{name}.{end}") for end in ("store", "port")]
         stage = str(self.folder / f"{name}.yaml")
         more = ["--real-time"] if self._is_real_time else []
-        program = "rig.direct" if self.is_directed and index == 0 else "rig.serve"
         self._processes[name] = self._popen(
             [
                 *in_space(self.space(name)),
-                *[sys.executable, "-m", program, stage, name, *stores, *more],
+                *[sys.executable, "-m", "rig.serve", stage, name, *stores, *more],
             ],
             f"{name}.txt",
             {"LSS_RIG_CLOCK": clock},

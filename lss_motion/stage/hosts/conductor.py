@@ -1,52 +1,57 @@
-"""The conductor: one cast, one run, one leg at a time, for all figures. No network, clock or port.
+"""The conductor: one show at a time, together on all figures. No network, clock or port.
 
-    load(cast)          the figures fetch, verify and synchronise: `ready`
-    arm(now)            their robots move to the start: `armed`
-    start(now)          the first leg, at least `LEAD_NS` ahead
-    pause, resume, set_rate, seek, trim
-    stop()              brake, hold, end; again and again is the same as once
+The director of the stage orders (`play`, `leave`, `connect`), operators steer (`pause`, `set_rate`,
+`seek`, `stop`), figures send their states, and `tick` looks after all of them. What all figures
+must know is in `beat`; what became of an order goes to the `Listener`, by its number.
 
-`tick(now)` looks after the figures and returns what a person should know. `beat` is what all of
-them must know; it is sent `BEAT_NS` apart and whenever it changes.
+    state       play     leave    connect     stop      tick, until ...
+    ----------  -------  -------  ----------  --------  ------------------------------------------
+    connecting  leaving  -        -           -         all figures are there, or (`go_on`) some
+                                                        after `CONNECT_S`: standing
+    standing    leaving  -        connecting  -         -
+    leaving     leaving  leaving  leaving     leaving   no figure has a player, or `LEAVE_S` are
+                                                        over: readying, connecting or standing
+    readying    leaving  leaving  leaving     standing  all are ready: arming; `READY_S` are over:
+                                                        standing (refused)
+    arming      leaving  leaving  leaving     standing  all stand at their place: playing; a
+                                                        figure fell: leaving (faulted); one ended,
+                                                        or `ARM_S` are over: standing (refused)
+    playing     leaving  leaving  leaving     standing  the show is over: standing (finished);
+                                                        figures are away: leaving (faulted)
 
-A figure that is lost, out or faulted while a show plays leaves the others to `others`: they go on,
-slow down, or hold until it is back. With `go_on` a show also starts without it.
+Where figures follow another conductor, a show is refused, and one that plays is left: standing.
+
+What the states want of the figures: `armed` while arming and playing, `ready` from readying on and
+after a show that has ended, `stopped` after one that was left. A figure that is lost, out or
+faulted while a show plays leaves the others to `others`: they go on, slow down, or hold until it
+is back. With `go_on` a show also starts without it.
 """
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, Literal, Protocol
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.playing.player.following import RUNNING_RATE, SLOW_RATE, SPEED_STEP
-from lss_motion.stage.hosts.clocks import REFUSE_NS, WARN_NS
-from lss_motion.stage.hosts.messages import (
-    EPOCHS_AHEAD,
-    PROTOCOL,
-    Beat,
-    NetworkLeg,
-    Status,
-    hash_of,
-    packed,
-)
-from lss_motion.units import NS_PER_MS, NS_PER_S
+from lss_motion.playing.player.following import RUNNING_RATE
+from lss_motion.playing.player.show_clock import Leg
+from lss_motion.robot.on_fault import Cause
+from lss_motion.stage.hosts.legs import LEAD_NS, Legs
+from lss_motion.stage.hosts.messages import EPOCHS_AHEAD, Beat, StopAll, hash_of, packed
+from lss_motion.stage.hosts.remote_figures import LOST_NS, PLAYABLE, TWICE, RemoteFigure
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
-    from lss_motion.playing.player.show_clock import Leg
-    from lss_motion.stage.hosts.messages import Cast, Wanted
+    from lss_motion.stage.hosts.messages import Cast, NetworkLeg, Status, Wanted
+    from lss_motion.stage.orders import Outcome
 
 Others = Literal["go_on", "slow", "hold"]
 
 BEAT_NS: Final = 100 * NS_PER_MS
-LEAD_NS: Final = NS_PER_S
-"""A leg takes effect this long after it was made. A message arrives in 80 ms even on a bad Wi-Fi,
-and ten beats repeat it meanwhile."""
-LOST_NS: Final = NS_PER_S
-"""Without a word for so long, a figure is lost."""
 STOOD_NS: Final = NS_PER_S // 2
 """Figures that stand are seen to do so this long after a leg: their states arrive 5 times a second,
 and repeat."""
@@ -58,97 +63,142 @@ SEEK_MAX_NS: Final = 30 * NS_PER_S
 takes less."""
 SLOW_RATIO: Final = 0.5
 """With `others: slow`. Chosen: slow enough to be seen, and the show is still one."""
-CONNECT_NS: Final = 5 * NS_PER_S
+NAME_NS: Final = 5 * NS_PER_S
 """Figures that have not connected are named after this time."""
-NOTE_AGAIN_NS: Final = NS_PER_S
-"""A figure that comes and goes is named no more often. What it does is not delayed by that."""
-TWICE_AGAIN_NS: Final = 60 * NS_PER_S
-"""A figure that two processes serve is named no more often: they answer in turn, 10 a second."""
-PROCESSES_MAX: Final = 8
-"""Processes of one figure that are told apart; those of earlier restarts are forgotten."""
-TWICE: Final = "two processes serve it: end one of them (`lss-motion serve … --figure`)"
-PLAYABLE: Final = frozenset({"armed", "playing"})
+CONNECT_S: Final = 60.0
+"""So long a stage with `others: go_on` waits for all its figures before it begins without some."""
+LEAVE_S: Final = 30.0
+"""Figures that have not stopped by then are not waited for. Chosen: any show brakes in seconds, and
+a player that does not end is ended after 20 s."""
+WITHOUT_S: Final = 10.0
+"""With `others: go_on`, figures that cannot take part are waited for so long before a show starts
+without them. Chosen: a process that starts again is there in 4 s."""
+READY_S: Final = 30.0
+"""A show whose figures are not ready by then is refused, with the reasons. Chosen: a plan is
+fetched and verified in seconds."""
+ARM_S: Final = 60.0
+"""A robot that is not at its start by then is named, and the start is given up."""
+NEAR_S: Final = 5.0
+"""A leader that is further away may still be wound somewhere else."""
+OVER_S: Final = 15.0
+"""A show that some figure has not ended by then is over. Chosen: figures give up before
+(`figure.OVER_S`), and their servos get their settings back."""
+FALLEN_S: Final = 10.0
+"""A show ends so long after a figure fell that does not come back by itself."""
+AWAY_S: Final = 60.0
+"""The same after a figure was lost: its computer may start again."""
+ARM_LEAD_S: Final = 8.0
+"""A show that joins the timecode waits at the place that it reaches so much later, the first time.
+Chosen: two figures of five joints need 3 s, eight of 18 on two busy cores 11 s."""
+ARM_LEAD_RATIO: Final = 1.3
+ARM_LEAD_LEAST_S: Final = 4.0
+"""Afterwards it is what the robots needed the last time, with so much room, and the leg's second,
+but no less than this, as the way may be longer this time."""
 
 
-@dataclass
-class FigureSeat:
-    """What the conductor knows of one figure."""
+class State(StrEnum):
+    """What the conductor does."""
 
-    name: str
-    status: Status | None = None
-    heard_ns: int | None = None
-    is_alive: bool = False
-    """Whether its token is there (`peer`)."""
-    problem: str = ""
-    """Why it does not take part; empty: it does."""
-    problem_ns: int | None = None
-    """Since when there is one."""
-    noted: str = ""
-    """The last problem that a person was told, without its numbers."""
-    noted_ns: int = -NOTE_AGAIN_NS
-    last_words: dict[str, str] = field(default_factory=dict)
-    """The last text of each process that has served it, the oldest process first."""
-    is_twice_ns: int | None = None
-    """When it was last seen that two processes serve it."""
-    told_twice_ns: int | None = None
-    apart_ns: int | None = None
-    """Since when it says that it follows another conductor."""
-
-    def is_twice(self, now_ns: int) -> bool:
-        """Return whether two processes serve it, and answer in turn."""
-        return self.is_twice_ns is not None and now_ns - self.is_twice_ns <= LOST_NS
-
-    def is_lost(self, now_ns: int) -> bool:
-        """Return whether nothing has arrived from it for `LOST_NS`."""
-        return self.heard_ns is None or now_ns - self.heard_ns > LOST_NS
+    CONNECTING = "connecting"
+    STANDING = "standing"
+    LEAVING = "leaving"
+    READYING = "readying"
+    ARMING = "arming"
+    PLAYING = "playing"
 
 
-@dataclass
+class Wish(Struct, frozen=True, kw_only=True):
+    """A show that is to be played, by the number of its order."""
+
+    number: int
+    cast: Cast
+    start_s: float = 0.0
+    leader: Callable[[], Leg | None] | None = None
+    """Where the timecode is in this show, which then follows it; None: nowhere at present."""
+    holds_without: bool = False
+    """Whether the show holds while its leader is lost, instead of going on."""
+
+
+class Listener(Protocol):
+    """Gets what became of orders."""
+
+    def connected(self, text: str, now_ns: int) -> None: ...
+
+    def refused(self, number: int, reason: str, now_ns: int) -> None: ...
+
+    def ended(self, number: int, outcome: Outcome, show_s: float | None, now_ns: int) -> None: ...
+
+    def faulted(self, cause: Cause, text: str, now_ns: int) -> None: ...
+
+
 class Conductor:
     """The state of one conductor. `epoch` must be higher than any that a figure has followed."""
 
-    name: str
-    figures: Collection[str]
-    epoch: int
-    instance: str
-    others: Others = "hold"
-    freewheel_s: float = 2.0
-    seats: dict[str, FigureSeat] = field(init=False)
-    wanted: Wanted = field(default="nothing", init=False)
-    cast: Cast | None = field(default=None, init=False)
-    catalogue: str | None = field(default=None, init=False)
-    """Hash of the `messages.Catalogue`."""
-    run: int = field(default=0, init=False)
-    leg: NetworkLeg | None = field(default=None, init=False)
-    speed: float = field(default=1.0, init=False)
-    """The share of the speed of the plan that a person asked for (`set_rate`)."""
-    is_paused: bool = field(default=False, init=False)
-    examines: int = field(default=0, init=False)
-    """Raised to let all figures examine themselves."""
-    superseded: str = field(default="", init=False)
-    """Why another conductor has taken over; empty: none has."""
-
-    def __post_init__(self) -> None:
-        self.seats = {name: FigureSeat(name) for name in self.figures}
-        self._count = 0
-        self._cast_hash: str | None = None
-        self._limit = 1.0
-        """What `others` allows at present."""
-        self._led_rate = 1.0
-        """That of a leader, if there is one."""
+    def __init__(
+        self,
+        *,
+        name: str,
+        figures: Collection[str],
+        epoch: int,
+        instance: str,
+        others: Others = "hold",
+        freewheel_s: float = 2.0,
+    ) -> None:
+        self.name, self.epoch, self.instance = name, epoch, instance
+        self.others, self.freewheel_s = others, freewheel_s
+        self.figures = {one: RemoteFigure(one) for one in figures}
+        self.listener: Listener | None = None
+        self.state = State.CONNECTING
+        self.legs = Legs()
+        self.run = 0
+        """Counts the shows that were armed."""
+        self.catalogue: str | None = None
+        """Hash of the `messages.Catalogue`."""
+        self.examines = 0
+        """Raised to let all figures examine themselves."""
+        self.superseded = ""
+        """Why another conductor has taken over; empty: none has."""
+        self.stops = 0
+        """Counts what was stopped: each is told to all at once, and repeated."""
+        self.armed_s: float | None = None
+        """How long the last start took until all robots stood at their place."""
+        self._wish: Wish | None = None
+        """What plays, or is about to."""
+        self._after_leaving = State.STANDING
+        """Where `leaving` leads to without a wish."""
+        self._at_rest: Wanted = "nothing"
+        """What is wanted of figures whose robots are not wanted at a show."""
+        self._cast: tuple[Cast, str] | None = None
+        """The one that is wanted, and its hash."""
         self._start_s = 0.0
-        self._notes: list[str] = []
-        self._begun_ns: int | None = None
         self._without: set[str] = set()
         """Figures that did not take part when the show was started."""
-        self._is_seeking = False
-        """Whether the show stands until all robots are at the place of its leg."""
+        self._now_ns = 0
+        self._begun_ns: int | None = None
+        self._since_ns: int | None = None
+        """Of the present state."""
+        self._have_stood = False
+        """Whether all robots have stood at their place, for this start."""
+        self._bad_ns: int | None = None
+        """Since when a figure does not play."""
+        self._count = 0
+        self._notes: list[str] = []
         self._refused = ""
         """The other conductor that was refused last."""
         self._rival: tuple[str, int] | None = None
         """A conductor that would take over, and when its first beat came."""
 
     # ---- what is sent
+
+    @property
+    def wanted(self) -> Wanted:
+        """What is wanted of all figures."""
+        return "armed" if self.state in (State.ARMING, State.PLAYING) else self._at_rest
+
+    @property
+    def cast(self) -> Cast | None:
+        """The show that figures are wanted for, or were last."""
+        return None if self._cast is None else self._cast[0]
 
     def beat(self) -> Beat:
         """Return the next beat."""
@@ -160,53 +210,40 @@ class Conductor:
             count=self._count,
             wanted=self.wanted,
             run=self.run,
-            cast=self._cast_hash,
+            cast=None if self._cast is None else self._cast[1],
             catalogue=self.catalogue,
-            leg=self.leg,
+            leg=self.legs.newest,
             freewheel_s=self.freewheel_s,
             start_s=self._start_s,
             examines=self.examines,
         )
 
+    def stop_message(self) -> StopAll:
+        """Return what is repeated after a stop, beside the beats."""
+        return StopAll(conductor=self.name, epoch=self.epoch, instance=self.instance, run=self.run)
+
     # ---- what arrives
 
     def take_status(self, status: Status, now_ns: int) -> None:
         """Take the state of a figure."""
-        seat = self.seats.get(status.figure)
-        if seat is None:
+        figure = self.figures.get(status.figure)
+        if figure is None:
             return
         is_ours = status.epoch < self.epoch or status.follows in ("", self.instance)
         if is_ours or status.epoch > self.epoch + EPOCHS_AHEAD:
-            seat.apart_ns = None
+            figure.apart_ns = None
         else:
-            self._meet(seat, status, now_ns)
-        if seat.status is not None and seat.status.instance != status.instance:
-            self._meet_process(seat, status.instance, now_ns)
-        if status.text and seat.last_words.get(status.instance) != status.text:
-            self._notes.append(f"figure {seat.name}: {status.text}")
-        seat.last_words[status.instance] = status.text
-        while len(seat.last_words) > PROCESSES_MAX:
-            del seat.last_words[next(iter(seat.last_words))]
-        seat.status, seat.heard_ns = status, now_ns
+            self._meet(figure, status, now_ns)
+        figure.take_status(status, now_ns)
 
-    def _meet_process(self, seat: FigureSeat, instance: str, now_ns: int) -> None:
-        """Note that another process serves a figure. One that was there before: two do at once."""
-        if instance not in seat.last_words:
-            self._notes.append(f"figure {seat.name} has started again")
-            return
-        seat.is_twice_ns = now_ns
-        if seat.told_twice_ns is None or now_ns - seat.told_twice_ns >= TWICE_AGAIN_NS:
-            seat.told_twice_ns = now_ns
-            self._notes.append(f"figure {seat.name}: {TWICE}")
-
-    def _meet(self, seat: FigureSeat, status: Status, now_ns: int) -> None:
+    def _meet(self, figure: RemoteFigure, status: Status, now_ns: int) -> None:
         """Begin a later epoch than that of the conductor before this one, or give way to it.
 
         A show is given up only for what a figure says for `LOST_NS`: one message may be anyone's.
         """
-        if seat.apart_ns is None:
-            seat.apart_ns = now_ns
-        is_sure = now_ns - seat.apart_ns >= LOST_NS
+        if figure.apart_ns is None:
+            figure.apart_ns = now_ns
+        is_sure = now_ns - figure.apart_ns >= LOST_NS
         if self.wanted != "armed":
             self.epoch = status.epoch + 1
         elif status.epoch > self.epoch and is_sure and not self.superseded:
@@ -218,11 +255,9 @@ class Conductor:
             self._notes.append(self.superseded)
 
     def take_alive(self, name: str, *, is_alive: bool) -> None:
-        """Note that the token of a figure has come, or gone: its process or its line is lost."""
-        if (seat := self.seats.get(name)) is not None and seat.is_alive != is_alive:
-            seat.is_alive = is_alive
-            if not is_alive:
-                seat.heard_ns = None
+        """Note that the token of a figure has come, or gone."""
+        if (figure := self.figures.get(name)) is not None:
+            figure.take_alive(is_alive=is_alive)
 
     def take_beat(self, beat: Beat, now_ns: int) -> None:
         """Take the beat of another conductor of this stage: one of the two is wrong.
@@ -254,75 +289,72 @@ class Conductor:
     def _is_followed(self, now_ns: int) -> bool:
         """Return whether a figure of another computer has just told that it follows this one."""
         return any(
-            seat.status is not None
-            and seat.status.follows == self.instance
-            and not seat.is_lost(now_ns)
-            for name, seat in self.seats.items()
+            one.status is not None
+            and one.status.follows == self.instance
+            and not one.is_lost(now_ns)
+            for name, one in self.figures.items()
             if name != self.name
         )
 
-    # ---- what a person or a cue wants
+    # ---- what the director orders
 
-    def load(self, cast: Cast) -> None:
-        """Let all figures make this cast ready; what plays is stopped first."""
-        self._require_sole()
+    def play(self, wish: Wish, now_ns: int) -> None:
+        """Play a show on all figures; what plays is left first."""
+        self._now_ns = now_ns
+        self._leave(wish)
+
+    def leave(self, now_ns: int) -> None:
+        """Let all figures brake, hold and end."""
+        self._now_ns = now_ns
+        if self.state not in (State.CONNECTING, State.STANDING):
+            self._leave(None)
+
+    def connect(self, now_ns: int) -> None:
+        """Wait until all figures are there, as at the beginning."""
+        self._now_ns = now_ns
+        if self.state is State.STANDING:
+            self._enter(State.CONNECTING)
+        elif self.state is not State.CONNECTING:
+            if self.state is not State.LEAVING or self._wish is not None:
+                self._leave(None)
+            self._after_leaving = State.CONNECTING
+
+    def _leave(self, wish: Wish | None) -> None:
+        left, self._wish = self._wish, wish
+        show_s = self.legs.show_s(self._now_ns)
+        if self.state is not State.LEAVING:
+            self._after_leaving = State.STANDING
         if self.wanted == "armed":
-            raise InputError("a show plays or waits for its start: stop it first")
-        self.cast, self._cast_hash = cast, hash_of(packed(cast))
-        self.wanted, self.leg = "ready", None
+            self._notes.append("STOP for all")
+            self.stops += 1
+        self._stop_figures()
+        self._enter(State.LEAVING)
+        if left is not None and self.listener is not None:
+            reached_s = left.start_s if show_s is None else max(show_s, 0.0)
+            self.listener.ended(left.number, "left", reached_s, self._now_ns)
 
-    def arm(self, now_ns: int, start_s: float = 0.0) -> None:
-        """Let the robots move to the start, or another place of the show.
+    # ---- what operators ask for
 
-        Raises `InputError` that names figures that are not ready.
-        """
-        self._require_sole()
-        if self.cast is None:
-            raise InputError("no show is loaded")
-        if self.wanted == "armed":
-            return
-        if problems := self.problems(now_ns):
-            raise InputError("not all figures are ready: " + "; ".join(problems))
-        absent = self.absent(now_ns)
-        self._notes += [f"starts without {name}: {why}" for name, why in absent.items()]
-        self._without = set(absent)
-        self.run += 1
-        self._start_s = start_s
-        self.wanted, self.leg = "armed", None
-        self._limit, self._led_rate, self.is_paused = 1.0, 1.0, False
-        self.speed, self._is_seeking = 1.0, False
+    def stop(self, now_ns: int) -> None:
+        """Stop all figures, and what was to be played. Best effort: this is no emergency stop."""
+        self._now_ns = now_ns
+        self._notes.append("STOP for all")
+        self.stops += 1
+        left, self._wish = self._wish, None
+        was_playing = self.state is State.PLAYING
+        if self.state in (State.READYING, State.ARMING, State.PLAYING):
+            self._stop_figures()
+            self._enter(State.STANDING)
+        if left is not None and self.listener is not None:
+            if was_playing:
+                self.listener.ended(left.number, "left", None, self._now_ns)
+            else:
+                self.listener.refused(left.number, "all were stopped", self._now_ns)
 
-    def start(self, now_ns: int, leader: Leg | None = None) -> NetworkLeg:
-        """Make the first leg, that of a leader if there is one.
-
-        Raises `InputError` that names whose robot is not at the start.
-        """
-        self._require_sole()
-        if self.leg is not None:
-            return self.leg
-        waiting = [seat.name for seat in self._expected() if not self._is_armed(seat, now_ns)]
-        if self.wanted != "armed" or waiting:
-            names = ", ".join(waiting) or "none was asked"
-            raise InputError(f"not all figures stand at the start: {names}")
-        at_ns = now_ns + LEAD_NS
-        show_s, rate = self._start_s, 1.0
-        if leader is not None:
-            show_s = leader.at_s(at_ns)
-            rate = self._led_rate = min(leader.rate, 1.1)
-        self.leg = NetworkLeg(number=1, instant_ns=at_ns, show_s=show_s, rate=rate)
-        return self.leg
-
-    def pause(self, now_ns: int) -> None:
-        """Let all stand, from an instant `LEAD_NS` ahead."""
+    def pause(self, now_ns: int, *, is_paused: bool = True) -> None:
+        """Let all stand, from an instant `LEAD_NS` ahead, or go on."""
         self._require_leg()
-        self.is_paused = True
-        self._rerate(now_ns)
-
-    def resume(self, now_ns: int) -> None:
-        """Go on after `pause`."""
-        self._require_leg()
-        self.is_paused = False
-        self._rerate(now_ns)
+        self.legs.pause(now_ns, is_paused=is_paused)
 
     def set_rate(self, ratio: float, now_ns: int) -> float:
         """Play at this share of the speed of the plan until the next start; return which it is.
@@ -330,247 +362,335 @@ class Conductor:
         It is the nearest one that a figure follows. A paused show has it when it is resumed.
         """
         self._require_leg()
-        self.speed = followed_rate(ratio)
-        self._rerate(now_ns)
-        return self.speed
+        return self.legs.set_rate(ratio, now_ns)
 
     def seek(self, show_s: float, now_ns: int) -> None:
         """Go on from another show time: figures brake, move there, and start there together.
 
         Raises `InputError` for a time that is not in the show.
         """
-        leg = self._require_leg()
-        duration_s = None if self.cast is None else self.cast.duration_s
-        if not 0.0 <= show_s < (float("inf") if duration_s is None else duration_s):
-            end = "" if duration_s is None else f", which ends at {duration_s:.1f} s"
-            raise InputError(f"{show_s:g} s is not in the show{end}")
-        self._is_seeking = True
+        self._require_leg()
+        self.legs.seek(show_s, None if self.cast is None else self.cast.duration_s, now_ns)
         self._notes.append(f"the robots go to {show_s:.1f} s of the show")
-        self.leg = NetworkLeg(
-            number=leg.number + 1, instant_ns=now_ns + LEAD_NS, show_s=show_s, rate=0.0
-        )
 
-    def trim(self, instant_ns: int, show_s: float, rate: float, now_ns: int) -> None:
-        """Follow a leader: at `instant_ns` the show was at `show_s`, at this rate.
+    def _require_leg(self) -> None:
+        if self.superseded:
+            raise InputError(self.superseded)
+        if self.state is not State.PLAYING:
+            raise InputError("no show plays")
 
-        While the show is paused or slowed down for a figure, it is met only afterwards.
-        """
-        leg = self._require_leg()
-        at_ns = now_ns + LEAD_NS
-        if leg.instant_ns > now_ns:
-            return  # One leg at a time: figures may not have got the last one yet.
-        self._led_rate = min(max(rate, 0.0), 1.1)
-        if self.is_paused or self._limit < 1.0:
-            self._rerate(now_ns)
-            return
-        at_s = show_s + rate * (at_ns - instant_ns) / NS_PER_S
-        self.leg = NetworkLeg(
-            number=leg.number + 1, instant_ns=at_ns, show_s=at_s, rate=self._led_rate
-        )
-
-    def stop(self) -> None:
-        """Stop all figures. Best effort: this is no emergency stop."""
-        if self.wanted == "armed":
-            self.wanted = "stopped"
-
-    def end(self) -> None:
-        """Note that the show has ended: figures rest, and keep the cast ready."""
-        if self.wanted == "armed":
-            self.wanted = "ready"
-        self.leg = None
-
-    # ---- looking after the figures
+    # ---- each turn
 
     def show_s(self, now_ns: int) -> float | None:
         """Return the show time; None while none plays. Before its start it is negative."""
-        return None if self.leg is None else self.leg.at_s(now_ns)
+        return self.legs.show_s(now_ns)
 
     def tick(self, now_ns: int) -> list[str]:
-        """Do what `others` requires; return what a person should know since the last call."""
+        """Do what is due; return what a person should know since the last call."""
+        self._now_ns = now_ns
         if self._begun_ns is None:
-            self._begun_ns = now_ns
-        for seat in self._cast_seats():
-            if seat.status is None and now_ns - self._begun_ns < CONNECT_NS:
-                continue
-            problem = self._problem(seat, now_ns)
-            self._note(seat, problem, now_ns)
-            if bool(problem) != bool(seat.problem):
-                seat.problem_ns = now_ns if problem else None
-            seat.problem = problem
-        self._look_after(now_ns)
+            self._begun_ns = self._since_ns = now_ns
+        for figure in self._cast_figures():
+            if figure.status is not None or now_ns - self._begun_ns >= NAME_NS:
+                figure.note_problem(self._problem(figure), now_ns)
+        if self.superseded and self.wanted == "armed":
+            self._give_up()
+        self._go_on()
         notes, self._notes = self._notes, []
+        for figure in self.figures.values():
+            notes += figure.notes
+            figure.notes.clear()
         return notes
 
-    def _note(self, seat: FigureSeat, problem: str, now_ns: int) -> None:
-        """Tell a person about a figure, unless that was told a moment ago."""
-        kind = re.sub(r"\d+", "", problem)
-        if kind == seat.noted or now_ns - seat.noted_ns < NOTE_AGAIN_NS:
+    def _go_on(self) -> None:
+        """Do what the present state waits for."""
+        match self.state:
+            case State.CONNECTING:
+                self._await_figures()
+            case State.LEAVING:
+                self._await_stop()
+            case State.READYING:
+                self._make_ready()
+            case State.ARMING:
+                self._arm()
+            case State.PLAYING:
+                self._look_after()
+
+    def _enter(self, state: State) -> None:
+        self.state, self._since_ns = state, self._now_ns
+        self._have_stood, self._bad_ns = False, None
+
+    def _is_past(self, seconds: float) -> bool:
+        """Return whether the present state has lasted for longer."""
+        return self._since_ns is not None and self._now_ns - self._since_ns > ns_from_s(seconds)
+
+    def _await_figures(self) -> None:
+        figures = self.figures.values()
+        absent = [one.name for one in figures if one.status is None or one.is_lost(self._now_ns)]
+        may_go_without = self.others == "go_on" and len(absent) < len(figures)
+        if absent and not (may_go_without and self._is_past(CONNECT_S)):
             return
-        self._notes.append(
-            f"figure {seat.name}{f': {problem}' if problem else ' takes part again'}"
-        )
-        seat.noted, seat.noted_ns = kind, now_ns
+        self._enter(State.STANDING)
+        text = f"begins without {', '.join(absent)}" if absent else "all figures are there"
+        if self.listener is not None:
+            self.listener.connected(text, self._now_ns)
 
-    def problems(self, now_ns: int) -> list[str]:
-        """Return why the show cannot start, a sentence for each figure; empty: it can."""
-        found, absent = [], self.absent(now_ns)
-        may_go_without = self.others == "go_on" and len(absent) < len(self._cast_seats())
-        for seat in self._cast_seats():
-            if problem := absent.get(seat.name):
-                if not may_go_without:
-                    found.append(f"{seat.name}: {problem}")
-            elif seat.is_twice(now_ns):
-                found.append(f"{seat.name}: {TWICE}")
-            elif seat.status is not None and seat.status.state != "ready":
-                found.append(f"{seat.name} is {seat.status.state}")
-        return found
+    def _stop_figures(self) -> None:
+        if self.wanted == "armed":
+            self._at_rest = "stopped"
+        self.legs.reset()
 
-    def absent(self, now_ns: int, for_ns: int = 0) -> dict[str, str]:
-        """Return the figures that cannot take part, and why; those that could not for so long."""
-        found = {}
-        for seat in self._cast_seats():
-            is_long = seat.problem_ns is not None and now_ns - seat.problem_ns >= for_ns
-            if (problem := self._problem(seat, now_ns)) and (is_long or for_ns == 0):
-                found[seat.name] = problem
-        return found
+    def _await_stop(self) -> None:
+        """Go on when no figure has a player; a figure that does not stop is not waited for."""
+        active = [one.name for one in self.figures.values() if one.is_active(self._now_ns)]
+        if active and not self._is_past(LEAVE_S):
+            return
+        wish = self._wish
+        if wish is None:
+            self._enter(self._after_leaving)
+        elif active:
+            self._refuse(f"{', '.join(active)} does not stop")
+        elif self.superseded:
+            self._refuse(self.superseded)
+        else:
+            self._cast = (wish.cast, hash_of(packed(wish.cast)))
+            self._at_rest = "ready"
+            self._notes.append(f"loads {wish.cast.show!r}")
+            self._enter(State.READYING)
 
-    def warnings(self) -> list[str]:
-        """Return what is no reason to refuse a start, but should be known."""
-        return [
-            f"{seat.name}: its clock is known to {seat.status.bound_ns / NS_PER_MS:.1f} ms only"
-            for seat in self._cast_seats()
-            if seat.status is not None
-            and seat.status.bound_ns is not None
-            and seat.status.bound_ns > WARN_NS
-        ]
+    def _make_ready(self) -> None:
+        """Arm all figures when all are ready, or refuse the show."""
+        wish = self._wish
+        assert wish is not None, "a show is about to play"
+        if self.superseded:
+            self._refuse(self.superseded)
+            return
+        if problems := self.problems(self._now_ns):
+            if self._is_past(READY_S):
+                self._refuse("; ".join(problems))
+            return
+        absent = self.absent(self._now_ns)
+        if absent != self.absent(self._now_ns, ns_from_s(WITHOUT_S)):
+            return  # Some may be back in a moment.
+        self._notes += [f"starts without {name}: {why}" for name, why in absent.items()]
+        warnings = filter(None, (one.warning() for one in self._cast_figures()))
+        self._notes += [f"warning: {text}" for text in warnings]
+        self._without = set(absent)
+        self.run += 1
+        self.legs.reset()
+        self._start_s = wish.start_s
+        leader = None if wish.leader is None else wish.leader()
+        if leader is not None and leader.rate >= RUNNING_RATE:
+            self._start_s = max(leader.at_s(self._now_ns + ns_from_s(self._arm_lead_s())), 0.0)
+        self._notes.append("GO: the robots move to their start")
+        self._enter(State.ARMING)
 
-    def has_failed(self, now_ns: int) -> bool:
-        """Return whether the player of a figure has ended before the start."""
-        return any(
-            seat.status is not None
-            and (seat.status.epoch, seat.status.run) == (self.epoch, self.run)
-            and seat.status.state in ("stopped", "out")
-            and bool(self._problem(seat, now_ns))
-            for seat in self._expected()
-        )
+    def _arm_lead_s(self) -> float:
+        """Return how far ahead of the timecode the robots wait for it."""
+        if self.armed_s is None:
+            return ARM_LEAD_S
+        return max(ARM_LEAD_LEAST_S, ARM_LEAD_RATIO * self.armed_s + s_from_ns(LEAD_NS))
 
-    def is_armed(self, now_ns: int) -> bool:
-        """Return whether all robots stand at the start."""
-        return self.wanted == "armed" and all(
-            self._is_armed(seat, now_ns) for seat in self._expected()
-        )
+    def _arm(self) -> None:
+        """Make the first leg when all stand at their place, and their leader is near."""
+        wish = self._wish
+        assert wish is not None, "a show is about to play"
+        if all(self._is_armed(one) for one in self._expected()):
+            if not self._have_stood:
+                self._have_stood = True
+                self.armed_s = s_from_ns(self._now_ns - (self._since_ns or 0))
+            leader = None if wish.leader is None else wish.leader()
+            if wish.leader is None or _is_near(leader, self._now_ns):
+                self.legs.begin(self._start_s, leader, self._now_ns)
+                self._notes.append(
+                    f"all stand at the start after {self.armed_s or 0.0:.1f} s: starts"
+                )
+                self._enter(State.PLAYING)
+        elif self._is_past(ARM_S) or any(self._has_failed(one) for one in self._expected()):
+            problems = "; ".join(self.problems(self._now_ns))
+            self._notes.append(f"the start is given up: {problems}")
+            if fallen := self._fallen():
+                self._fail(fallen)
+            else:
+                self.stops += 1
+                self._stop_figures()
+                self._refuse(problems or "the start was given up")
 
-    def _expected(self) -> Sequence[FigureSeat]:
-        """Return the figures without which the show does not start."""
-        return [seat for seat in self._cast_seats() if seat.name not in self._without]
+    def _refuse(self, reason: str) -> None:
+        wish, self._wish = self._wish, None
+        self._enter(State.STANDING)
+        if wish is not None and self.listener is not None:
+            self.listener.refused(wish.number, reason, self._now_ns)
 
-    def _cast_seats(self) -> Sequence[FigureSeat]:
-        parts = self.seats if self.cast is None else self.cast.parts
-        return [seat for name, seat in self.seats.items() if name in parts]
+    # ---- while it plays
 
-    def _is_armed(self, seat: FigureSeat, now_ns: int) -> bool:
-        status = seat.status
-        return (
-            status is not None
-            and not self._problem(seat, now_ns)
-            and status.run == self.run
-            and status.state in PLAYABLE
-        )
+    def _look_after(self) -> None:
+        """Notice the end of the show and figures that do not play; follow the leader."""
+        leg, wish = self.legs.newest, self._wish
+        assert leg is not None, "a show plays"
+        assert wish is not None
+        if self._is_over():
+            self._finish(wish)
+            return
+        if leg.instant_ns <= self._now_ns:
+            self._obey_others(leg)
+        if wish.leader is not None:
+            leader = wish.leader()
+            if leader is None and wish.holds_without:
+                leader = Leg(self._now_ns, leg.at_s(self._now_ns), 0.0)
+            if leader is not None:
+                self.legs.chase(leader, self._now_ns)
+        fallen = self._fallen()
+        bad = fallen or [one for one in self._cast_figures() if one.problem]
+        is_enough = self.others == "go_on" and len(bad) < len(self._cast_figures())
+        if not bad or is_enough:
+            self._bad_ns = None
+            return
+        self._bad_ns = self._bad_ns or self._now_ns
+        if self._now_ns - self._bad_ns > ns_from_s(FALLEN_S if fallen else AWAY_S):
+            self._fail(bad)
 
-    def _takes_part(self, seat: FigureSeat, now_ns: int) -> bool:
-        """Return whether a figure plays, or has played all of its part."""
-        has_ended = seat.status is not None and seat.status.state == "ended"
-        return not seat.problem and (has_ended or self._is_armed(seat, now_ns))
+    def _is_over(self) -> bool:
+        show_s, cast = self.legs.show_s(self._now_ns), self.cast
+        if cast is None or cast.duration_s is None or show_s is None:
+            return False
+        states = {
+            one.status.state
+            for one in self._cast_figures()
+            if one.status is not None and not one.is_lost(self._now_ns)
+        }
+        is_played = show_s > cast.duration_s and not {"playing", "arming"} & states
+        return is_played or show_s > cast.duration_s + OVER_S
 
-    def _problem(self, seat: FigureSeat, now_ns: int) -> str:
-        """Return why a figure does not take part; empty: it does, or will."""
-        status = seat.status
-        if status is None:
-            return "it has not connected: is it on, are address and keys right?"
-        if seat.is_lost(now_ns):
-            return "lost: nothing arrives from it"
-        if status.protocol != PROTOCOL:
-            return f"it has protocol {status.protocol}, the conductor {PROTOCOL}: same version?"
-        if status.state == "out":
-            return f"out: {status.text}"
-        if status.bound_ns is not None and status.bound_ns > REFUSE_NS and self.leg is None:
-            return (
-                f"its clock is known to {status.bound_ns / NS_PER_MS:.0f} ms only, allowed are "
-                f"{REFUSE_NS / NS_PER_MS:.0f}: the network is too slow or too busy"
-            )
-        is_mine = status.run == self.run and status.epoch == self.epoch
-        is_over = status.state in ("stopped", "holding")
-        if self.wanted == "armed" and self.run > 0 and is_mine and is_over:
-            return f"it does not play: {status.text or status.state}"
-        return ""
+    def _finish(self, wish: Wish) -> None:
+        """End a show that is over: figures rest, and keep its cast ready."""
+        self._notes.append("the show has ended")
+        self._wish, self._at_rest = None, "ready"
+        self.legs.reset()
+        self._enter(State.STANDING)
+        if self.listener is not None:
+            self.listener.ended(wish.number, "finished", None, self._now_ns)
 
-    def _look_after(self, now_ns: int) -> None:
+    def _give_up(self) -> None:
+        """Leave the figures to the conductor that they follow."""
+        left, self._wish = self._wish, None
+        self._stop_figures()
+        self._enter(State.STANDING)
+        if left is not None and self.listener is not None:
+            self.listener.ended(left.number, "left", None, self._now_ns)
+
+    def _fail(self, figures: Sequence[RemoteFigure]) -> None:
+        """End the show for all; the director decides about another attempt."""
+        texts, causes = [], []
+        for one in figures:
+            status = one.status
+            cause = "" if status is None or one.is_lost(self._now_ns) else status.cause
+            causes.append(Cause(cause) if cause in list(Cause) else Cause.LOST_PORT)
+            texts.append(f"{one.name}: {one.problem or (status.text if status else '')}")
+        self._wish = None
+        self._leave(None)
+        if self.listener is not None:
+            self.listener.faulted(causes[0], "; ".join(texts), self._now_ns)
+
+    def _obey_others(self, leg: NetworkLeg) -> None:
         """Go on, slow down or hold, as `others` says, while figures do not take part."""
-        if self.leg is None or self.wanted != "armed" or self.leg.instant_ns > now_ns:
-            return
-        if self._is_seeking:
-            self._end_seek(self.leg, now_ns)
-        are_all_there = all(self._takes_part(seat, now_ns) for seat in self._cast_seats())
+        if self.legs.is_seeking:
+            self._end_seek(leg)
+        are_all_there = all(self._takes_part(one) for one in self._cast_figures())
         limit = (
             1.0 if are_all_there else {"go_on": 1.0, "slow": SLOW_RATIO, "hold": 0.0}[self.others]
         )
-        if limit == self._limit:
-            return
-        self._limit = limit
-        slower = "the others are slower" if limit else "the others hold"
-        self._notes.append("all figures play: the show goes on" if limit == 1.0 else slower)
-        self._rerate(now_ns)
+        if limit != self.legs.limit:
+            slower = "the others are slower" if limit else "the others hold"
+            self._notes.append("all figures play: the show goes on" if limit == 1.0 else slower)
+            self.legs.set_limit(limit, self._now_ns)
 
-    def _end_seek(self, leg: NetworkLeg, now_ns: int) -> None:
+    def _end_seek(self, leg: NetworkLeg) -> None:
         """Go on when all figures that take part stand at the place that was sought."""
-        since_ns = now_ns - leg.instant_ns
-        there = (
-            self._is_there(seat, leg)
-            for seat in self._cast_seats()
-            if self._takes_part(seat, now_ns)
-        )
+        since_ns = self._now_ns - leg.instant_ns
+        there = (self._is_there(one, leg) for one in self._cast_figures() if self._takes_part(one))
         if since_ns >= STOOD_NS and (all(there) or since_ns >= SEEK_MAX_NS):
-            self._is_seeking = False
-            self._rerate(now_ns)
+            self.legs.end_seek(self._now_ns)
 
-    def _is_there(self, seat: FigureSeat, leg: NetworkLeg) -> bool:
-        status = seat.status
+    def _is_there(self, figure: RemoteFigure, leg: NetworkLeg) -> bool:
+        status = figure.status
         assert status is not None, "it takes part"
         if status.state == "ended":
             return True
         off_s = abs((status.show_s or 0.0) - leg.show_s)
         return status.leg == leg.number and status.stands and off_s < THERE_S
 
-    @property
-    def _wanted_rate(self) -> float:
-        slower = self._limit * self.speed
-        if self.is_paused or self._is_seeking or slower == 0.0:
-            return 0.0
-        return self._led_rate if slower == 1.0 else self._led_rate * followed_rate(slower)
+    # ---- which figures take part
 
-    def _rerate(self, now_ns: int) -> None:
-        """Make a leg with the rate that is wanted, where the present one will have come to."""
-        leg = self.leg
-        if leg is None or leg.rate == self._wanted_rate:
-            return
-        at_ns = max(now_ns + LEAD_NS, leg.instant_ns)
-        self.leg = NetworkLeg(
-            number=leg.number + 1, instant_ns=at_ns, show_s=leg.at_s(at_ns), rate=self._wanted_rate
+    def problems(self, now_ns: int) -> list[str]:
+        """Return why the show cannot start, a sentence for each figure; empty: it can."""
+        found, absent = [], self.absent(now_ns)
+        may_go_without = self.others == "go_on" and len(absent) < len(self._cast_figures())
+        for one in self._cast_figures():
+            if problem := absent.get(one.name):
+                if not may_go_without:
+                    found.append(f"{one.name}: {problem}")
+            elif one.is_twice(now_ns):
+                found.append(f"{one.name}: {TWICE}")
+            elif one.status is not None and one.status.state != "ready":
+                found.append(f"{one.name} is {one.status.state}")
+        return found
+
+    def absent(self, now_ns: int, for_ns: int = 0) -> dict[str, str]:
+        """Return the figures that cannot take part, and why; those that could not for so long."""
+        found = {}
+        for one in self._cast_figures():
+            is_long = one.problem_ns is not None and now_ns - one.problem_ns >= for_ns
+            if (problem := self._problem(one)) and (is_long or for_ns == 0):
+                found[one.name] = problem
+        return found
+
+    def _cast_figures(self) -> Sequence[RemoteFigure]:
+        parts = self.figures if self.cast is None else self.cast.parts
+        return [one for name, one in self.figures.items() if name in parts]
+
+    def _expected(self) -> Sequence[RemoteFigure]:
+        """Return the figures without which the show does not start."""
+        return [one for one in self._cast_figures() if one.name not in self._without]
+
+    def _problem(self, figure: RemoteFigure) -> str:
+        is_armed = self.wanted == "armed"
+        return figure.problem_of(
+            self._now_ns,
+            has_begun=self.legs.newest is not None,
+            is_over=is_armed and figure.is_of(self.epoch, self.run),
         )
 
-    def _require_sole(self) -> None:
-        if self.superseded:
-            raise InputError(self.superseded)
+    def _is_armed(self, figure: RemoteFigure) -> bool:
+        status = figure.status
+        if status is None or status.run != self.run or status.state not in PLAYABLE:
+            return False
+        return not self._problem(figure)
 
-    def _require_leg(self) -> NetworkLeg:
-        self._require_sole()
-        if self.leg is None or self.wanted != "armed":
-            raise InputError("no show plays")
-        return self.leg
+    def _takes_part(self, figure: RemoteFigure) -> bool:
+        """Return whether a figure plays, or has played all of its part."""
+        has_ended = figure.status is not None and figure.status.state == "ended"
+        return not figure.problem and (has_ended or self._is_armed(figure))
+
+    def _has_failed(self, figure: RemoteFigure) -> bool:
+        """Return whether its player has ended before the start."""
+        is_of_run, status = figure.is_of(self.epoch, self.run), figure.status
+        is_over = status is not None and status.state in ("stopped", "out")
+        return is_of_run and is_over and bool(self._problem(figure))
+
+    def _fallen(self) -> list[RemoteFigure]:
+        """Return the figures whose player has ended with a fault."""
+        return [
+            one
+            for one in self._cast_figures()
+            if one.status is not None
+            and not one.is_lost(self._now_ns)
+            and one.status.state == "stopped"
+            and one.status.run == self.run
+            and one.status.cause
+        ]
 
 
-def followed_rate(ratio: float) -> float:
-    """Return the rate next to a ratio that figures follow as it is (`following.FollowRule`)."""
-    slowest = min(max(ratio, SLOW_RATE), RUNNING_RATE - SPEED_STEP)
-    slower = round(round(slowest / SPEED_STEP) * SPEED_STEP, 3)
-    return slower if ratio - slower < 1.0 - ratio else 1.0
+def _is_near(leader: Leg | None, now_ns: int) -> bool:
+    """Return whether a leader runs, and is not further than `NEAR_S` before the show."""
+    return leader is not None and leader.rate >= RUNNING_RATE and leader.at_s(now_ns) >= -NEAR_S

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.robot.model import Robot
-    from lss_motion.stage.hosts.conductor import Conductor, FigureSeat
+    from lss_motion.stage.hosts.conductor import Conductor
     from lss_motion.stage.hosts.figure import Figure
+    from lss_motion.stage.hosts.remote_figures import RemoteFigure
     from lss_motion.stage.hosts.settings import NetworkSettings
 
 WAIT_S: Final = 30.0
@@ -112,15 +113,15 @@ def examine_stage(
     assert conductor is not None, "the conductor's computer examines"
     conductor.examines = 1
     end = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
-    names = list(conductor.seats)
+    names = list(conductor.figures)
     while time.monotonic() < end:
         host.turn()
-        if all(_is_known(host, conductor.seats[name]) for name in names):
+        if all(_is_known(host, conductor.figures[name]) for name in names):
             break
     rows = []
     for name in names:
-        seat = conductor.seats[name]
-        rows += rows_of(seat, host.findings.get(name), version, hashes.get(name))
+        figure = conductor.figures[name]
+        rows += rows_of(figure, host.findings.get(name), version, hashes.get(name))
     return rows
 
 
@@ -137,20 +138,22 @@ class Examining:
 
     def turn(self, now_ns: int) -> list[Examined] | None:
         """Return what was found about each figure; None: it is not done yet."""
-        seats = self._conductor.seats
-        if now_ns < self._end_ns and not all(self._is_done(one, now_ns) for one in seats.values()):
+        figures = self._conductor.figures
+        if now_ns < self._end_ns and not all(
+            self._is_done(one, now_ns) for one in figures.values()
+        ):
             return None
         cast = self._conductor.cast
         parts = {} if cast is None else cast.parts
         found = []
-        for name, seat in seats.items():
+        for name, figure in figures.items():
             rows = rows_of(
-                seat,
+                figure,
                 self._findings(name),
                 self._host.figure.version,
                 parts[name].robot if name in parts else None,
             )
-            if seat.status is not None and seat.is_lost(now_ns):
+            if figure.status is not None and figure.is_lost(now_ns):
                 rows.insert(0, Row(name, "network", "bad", "is lost: nothing arrives from it"))
             texts = tuple(
                 Finding(level=row.level, subject=row.subject[:64], text=row.text[:300])
@@ -163,12 +166,12 @@ class Examining:
         found = self._host.findings.get(name)
         return None if found is None or found.number != self._number else found
 
-    def _is_done(self, seat: FigureSeat, now_ns: int) -> bool:
+    def _is_done(self, figure: RemoteFigure, now_ns: int) -> bool:
         """Return whether nothing more is to be expected: a figure that plays examines nothing."""
-        status = seat.status
-        if status is None or seat.is_lost(now_ns):
+        status = figure.status
+        if status is None or figure.is_lost(now_ns):
             return False
-        return self._findings(seat.name) is not None and status.bound_ns is not None
+        return self._findings(figure.name) is not None and status.bound_ns is not None
 
 
 def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None) -> list[Row]:
@@ -204,16 +207,16 @@ def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None
     ]
 
 
-def _is_known(host: Examiner, seat: FigureSeat) -> bool:
-    has_clock = seat.status is not None and seat.status.bound_ns is not None
-    return has_clock and seat.name in host.findings
+def _is_known(host: Examiner, figure: RemoteFigure) -> bool:
+    has_clock = figure.status is not None and figure.status.bound_ns is not None
+    return has_clock and figure.name in host.findings
 
 
 def rows_of(
-    seat: FigureSeat, findings: Findings | None, version: str, robot_hash: str | None
+    figure: RemoteFigure, findings: Findings | None, version: str, robot_hash: str | None
 ) -> list[Row]:
     """Return the rows of one figure."""
-    name, status = seat.name, seat.status
+    name, status = figure.name, figure.status
     if status is None:
         text = "does not answer: is it served there, are address, cable and keys right?"
         return [Row(name, "network", "bad", text)]
@@ -229,7 +232,7 @@ def rows_of(
     )
     is_same = robot_hash is None or status.robot == robot_hash
     text = status.robot[:8] if is_same else "differs from the file here: give both the same one"
-    rows += [Row(name, "robot file", "ok" if is_same else "bad", text), _clock_row(seat)]
+    rows += [Row(name, "robot file", "ok" if is_same else "bad", text), _clock_row(figure)]
     if findings is None:
         rows.append(Row(name, "computer", "bad", "has not examined itself in time"))
         return rows
@@ -238,10 +241,10 @@ def rows_of(
     return rows
 
 
-def _clock_row(seat: FigureSeat) -> Row:
-    status = seat.status
+def _clock_row(figure: RemoteFigure) -> Row:
+    status = figure.status
     bound_ns = None if status is None else status.bound_ns
-    row = Row(seat.name, "clock", "ok", f"known to {_ms(bound_ns)} ms")
+    row = Row(figure.name, "clock", "ok", f"known to {_ms(bound_ns)} ms")
     if bound_ns is None:
         return replace(row, level="bad", text="not known yet")
     if bound_ns > REFUSE_NS:

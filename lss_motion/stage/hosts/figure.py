@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Final, Literal
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.stage.hosts.conductor import LOST_NS
 from lss_motion.stage.hosts.messages import (
     CAST_MAX_BYTES,
     EPOCHS_AHEAD,
@@ -31,6 +30,7 @@ from lss_motion.stage.hosts.messages import (
     hash_of,
     parse,
 )
+from lss_motion.stage.hosts.remote_figures import LOST_NS
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import InputError
-from lss_motion.playing.player.following import RUNNING_RATE
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
 from lss_motion.stage.hosts.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
 from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor
 from lss_motion.stage.hosts.examine import Examining
@@ -43,12 +44,11 @@ from lss_motion.stage.hosts.messages import (
     parse,
 )
 from lss_motion.stage.hosts.plans import robot_hash
-from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-    from lss_motion.playing.player.show_clock import Leg
     from lss_motion.robot.model import Robot
     from lss_motion.stage.hosts.conductor import Others
     from lss_motion.stage.hosts.messages import Cast
@@ -68,18 +68,6 @@ STOP_NS: Final = 50 * NS_PER_MS
 ASKS_MAX: Final = 200
 ASK_TIMES: Final = 3
 """A wish is sent so often: TCP loses none, but a full queue may."""
-ARM_MAX_NS: Final = 60 * NS_PER_S
-"""A robot that is not at its start by then is named, and the start is given up."""
-NEAR_S: Final = 5.0
-"""A leader that is further away may still be wound somewhere else."""
-OVER_MAX_S: Final = 15.0
-"""A show that some figure has not ended by then is over. Chosen: figures give up before
-(`figure.OVER_S`), and their servos get their settings back."""
-
-
-def _is_near(leader: Leg, now_ns: int) -> bool:
-    """Return whether a leader runs, and is not further than `NEAR_S` before the show."""
-    return leader.rate >= RUNNING_RATE and leader.at_s(now_ns) >= -NEAR_S
 
 
 class PlayerEnd(Protocol):
@@ -106,9 +94,6 @@ class PlayerEnd(Protocol):
 
 class Host:
     """One computer. `log` gets what happens, a line each."""
-
-    armed_s: float | None = None
-    """How long the last start took until all robots stood at their place (conductor only)."""
 
     def __init__(  # noqa: PLR0913  (what one computer has)
         self,
@@ -148,7 +133,6 @@ class Host:
             )
         self.cues: deque[tuple[str, Ask]] = deque(maxlen=100)
         """Cues and triggers that figures asked for, each with the figure."""
-        self._leader: Callable[[], Leg | None] | None = None
         self._examining: Examining | None = None
         self.findings: dict[str, Findings] = {}
         """What figures found about themselves (conductor only)."""
@@ -160,10 +144,8 @@ class Host:
         self._asked: dict[str, deque[tuple[str, int]]] = {}
         """The wishes of each figure that were obeyed last: repeated ones are the same."""
         self._ask_count = 0
-        self._stops_left = 0
-        self._arming_ns: int | None = None
-        self._is_timed = False
-        """Whether this start is measured, which has not ended yet."""
+        self._stops, self._stops_left = 0, 0
+        """What the conductor has stopped, and how often that is still to be sent."""
         self._clock_of = ""
         self._due_ns = {"clock": 0, "status": 0, "beat": 0, "stop": 0, "ask": 0, "tick": 0}
         self._sent_beat: tuple[object, ...] = ()
@@ -190,68 +172,53 @@ class Host:
 
     # ---- what a person, or the stage, wants
 
-    def offer(self, casts: Sequence[Cast], contents: Mapping[str, bytes]) -> None:
+    @property
+    def conducts(self) -> Conductor:
+        """The conductor of this computer; raises `InputError` where it is another one."""
+        if self.conductor is None:
+            raise InputError(f"{self.settings.conductor} conducts this stage")
+        return self.conductor
+
+    def keep(self, contents: Iterable[bytes]) -> None:
+        """Store plans and casts, for all figures; raises `OSError`."""
+        for content in contents:
+            self._store.put(content)
+
+    def offer(self, casts: Sequence[Cast]) -> None:
         """Let all figures make these casts ready when they have nothing else to do."""
         catalogue = packed(Catalogue(casts=tuple(hash_of(packed(cast)) for cast in casts)))
-        for content in (*contents.values(), catalogue):
-            self._store.put(content)
-        self._require_conductor().catalogue = hash_of(catalogue)
-
-    def load(self, cast: Cast, contents: Mapping[str, bytes]) -> None:
-        """Offer a cast and its plans to all figures (conductor only)."""
-        conductor = self._require_conductor()
-        for content in contents.values():
-            self._store.put(content)
-        conductor.load(cast)
-        self.log(f"loads {cast.show!r}")
-
-    def go(self, start_s: float = 0.0, leader: Callable[[], Leg | None] | None = None) -> None:
-        """Arm all figures, and start when all stand at their place; raises `InputError`.
-
-        With a `leader`, the show begins where that is, as soon as it is near.
-        """
-        conductor = self.conductor
-        if conductor is None:
-            self._ask("go")
-            return
-        now_ns = self._now_ns()
-        if self._arming_ns is not None or conductor.leg is not None:
-            raise InputError("the show plays, or is about to")
-        for text in conductor.warnings():
-            self.log(f"warning: {text}")
-        conductor.arm(now_ns, start_s)
-        self._arming_ns, self._leader, self._is_timed = now_ns, leader, True
-        self.log("GO: the robots move to their start")
+        self._store.put(catalogue)
+        self.conducts.catalogue = hash_of(catalogue)
 
     def stop(self) -> None:
         """Stop all figures; from any computer. Best effort: this is no emergency stop."""
-        self.player.stop()
-        self.log("STOP for all")
         if self.conductor is None:
-            self._ask("stop")
-            return
-        self.conductor.stop()
-        self._arming_ns = None
-        self._stops_left = STOPS
+            self.player.stop()
+            self.log("STOP for all")
+        else:
+            self.conductor.stop(self._now_ns())
+        self._ask("stop")
 
-    def problems(self) -> list[str]:
-        """Return why the show cannot start, a sentence for each figure (conductor only)."""
-        return self._require_conductor().problems(self._now_ns())
-
-    def are_all_ready(self) -> bool:
-        """Return whether the show can start with all figures (conductor only)."""
-        conductor, now_ns = self._require_conductor(), self._now_ns()
-        return not conductor.problems(now_ns) and not conductor.absent(now_ns)
-
-    def cue(self, name: str) -> None:
-        """Fire a cue of the stage, from any computer."""
-        self._ask("cue", cue=name)
-
-    def trigger(
-        self, kind: str, address: str, value: float | None, channel: int | None, source: str
-    ) -> None:
-        """Hand a trigger that came to this computer to the conductor."""
-        self._ask("trigger", kind=kind, cue=address, value=value, channel=channel, source=source)
+    def obey(self, operation: m.AnyOperation, origin: str) -> None:
+        """Pass on what this computer was asked for; a stop is carried out here, too."""
+        match operation:
+            case s.Trigger():
+                self._ask(
+                    "trigger",
+                    kind=operation.kind,
+                    cue=operation.address,
+                    value=operation.value,
+                    channel=operation.channel,
+                    source=operation.source or origin,
+                )
+            case s.Cue():
+                self._ask("cue", cue=operation.label)
+            case m.Go():
+                self._ask("go")
+            case m.Stop() | m.Estop():
+                self.stop()
+            case _:
+                raise InputError(f"{operation.op} is for the conductor's computer")
 
     def _ask(self, what: str, **more: object) -> None:
         self._ask_count += 1
@@ -262,11 +229,6 @@ class Host:
             self._asks.extend([ask] * ASK_TIMES)
         else:
             self.cues.append((self.settings.figure, ask))
-
-    def _require_conductor(self) -> Conductor:
-        if self.conductor is None:
-            raise InputError(f"{self.settings.conductor} conducts this stage")
-        return self.conductor
 
     # ---- one turn
 
@@ -329,7 +291,7 @@ class Host:
                 self.findings[parts[1]] = findings
         elif parts[2] == "ask":
             ask = parse(Ask, content)
-            if parts[1] not in conductor.seats:
+            if parts[1] not in conductor.figures:
                 return
             asked = self._asked.setdefault(parts[1], deque(maxlen=ASKS_MAX))
             if (ask.instance, ask.number) not in asked:
@@ -341,7 +303,8 @@ class Host:
         self.log(f"figure {figure} asks for {ask.what}{name}")
         match ask.what:
             case "stop":
-                self.stop()
+                self.conducts.stop(self._now_ns())
+                self.cues.append((figure, ask))
             case "examine":
                 self._examining = Examining(self, ask.instance, self._now_ns())
             case _:
@@ -377,56 +340,24 @@ class Host:
             self._examining = None
             for one in found:
                 self.peer.send(f"examined/{one.figure}", packed(one))
-        if self._arming_ns is not None:
-            self._start(conductor, self._arming_ns, now_ns)
-        if conductor.leg is not None and self._is_over(conductor, now_ns):
-            self.log("the show has ended")
-            conductor.end()
+        if conductor.stops != self._stops:
+            self._stops, self._stops_left = conductor.stops, STOPS
+            self.player.stop()
         if self._stops_left and now_ns >= self._due_ns["stop"]:
             self._stops_left -= 1
             self._due_ns["stop"] = now_ns + STOP_NS
-            stop = StopAll(
-                conductor=conductor.name,
-                epoch=conductor.epoch,
-                instance=conductor.instance,
-                run=conductor.run,
-            )
-            self.peer.send("stop", packed(stop))
-        state = (conductor.wanted, conductor.run, conductor.leg, conductor.cast, conductor.epoch)
+            self.peer.send("stop", packed(conductor.stop_message()))
+        state = (
+            conductor.wanted,
+            conductor.run,
+            conductor.legs.newest,
+            conductor.cast,
+            conductor.epoch,
+        )
         is_due = now_ns >= self._due_ns["beat"] or state != self._sent_beat
         if is_due and not conductor.superseded:
             self._due_ns["beat"], self._sent_beat = now_ns + BEAT_NS, state
             self.peer.send("beat", packed(conductor.beat()))
-
-    def _start(self, conductor: Conductor, since_ns: int, now_ns: int) -> None:
-        """Make the first leg when all stand at their start; give up who never does."""
-        if conductor.wanted != "armed":
-            self._arming_ns = None
-        elif conductor.is_armed(now_ns):
-            if self._is_timed:
-                self._is_timed, self.armed_s = False, s_from_ns(now_ns - since_ns)
-            leader = None if self._leader is None else self._leader()
-            if self._leader is not None and (leader is None or not _is_near(leader, now_ns)):
-                return
-            self._arming_ns = None
-            conductor.start(now_ns, leader)
-            self.log(f"all stand at the start after {self.armed_s or 0.0:.1f} s: starts")
-        elif now_ns - since_ns > ARM_MAX_NS or conductor.has_failed(now_ns):
-            self.log("the start is given up: " + "; ".join(conductor.problems(now_ns)))
-            self.stop()
-
-    def _is_over(self, conductor: Conductor, now_ns: int) -> bool:
-        cast = conductor.cast
-        show_s = conductor.show_s(now_ns)
-        if cast is None or cast.duration_s is None or show_s is None:
-            return False
-        states = [
-            seat.status.state
-            for name, seat in conductor.seats.items()
-            if name in cast.parts and seat.status is not None and not seat.is_lost(now_ns)
-        ]
-        is_played = show_s > cast.duration_s and not {"playing", "arming"} & set(states)
-        return is_played or show_s > cast.duration_s + OVER_MAX_S
 
     def _play(self, now_ns: int) -> None:
         figure = self.figure

@@ -1,48 +1,43 @@
 """Serve one figure of a stage with several: `lss-motion serve STAGE.yaml --figure NAME`.
 
-The conductor's computer plans the shows for all, when they are needed, and is told what to do by
-lines of its input (`Commands`), or by what else holds a `Host`. The others need no operator.
+Without its pages, the conductor's computer plans the shows for all, and is told what to do by lines
+of its input, which are operations of `playing.remote.schema`. The others need no operator.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
-import multiprocessing
 import os
 import queue
 import signal
 import sys
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from lss_motion.errors import EXIT_FINISHED, InputError, LssMotionError
+from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
+from lss_motion.stage.hosts.conducting import ConductedStage, Offer
 from lss_motion.stage.hosts.host import Host
-from lss_motion.stage.hosts.plans import PlanStore, planned_cast
+from lss_motion.stage.hosts.plans import PlanStore, planned_stage
 from lss_motion.stage.hosts.player_link import PlayerLink
 from lss_motion.stage.hosts.settings import PORT, NetworkSettings, check_settings
+from lss_motion.stage.model import Kind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from concurrent.futures import Future
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
     from lss_motion.playing.remote.schema import AnyOperation
     from lss_motion.robot.model import Robot
-    from lss_motion.stage.hosts.plans import PlannedCast
     from lss_motion.stage.model import Stage
 
     Sources = Callable[["Take"], AbstractContextManager[None]]
 
 HELP: Final = (
-    "keys, each with Enter: g GO · l SHOW load a show · p pause · r resume · v RATIO speed · "
+    "keys, each with Enter: g GO · l SHOW play a show · p pause · r resume · v RATIO speed · "
     "j S jump to a show time · s STOP all · c CUE fire a cue · ? states · q end"
 )
 
@@ -51,22 +46,6 @@ class Take(Protocol):
     """Takes what a source of triggers has received, from any thread."""
 
     def __call__(self, operation: AnyOperation, origin: str) -> None: ...
-
-
-def begin_planner() -> None:
-    """Prepare the process that plans: Ctrl-C is not for it, and it ends with who started it.
-
-    A worker of a pool whose parent was killed would wait for work for ever.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(0)
 
 
 def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettings:
@@ -104,8 +83,9 @@ def serve_figure(
     """Serve one figure until Ctrl-C or `q`; return the exit code.
 
     `port` replaces the port of its robot file. With `starts`, the conductor starts its first show
-    as soon as all figures are ready. Plans are kept in `folder`, or else in the user's cache.
-    `sources` opens the triggers at this figure, and hands over what arrives, in any thread.
+    as soon as all figures are there, else with GO. Plans are kept in `folder`, or else in the
+    user's cache. `sources` opens the triggers at this figure, and hands over what arrives, in any
+    thread.
     """
     log = _log(figure)
     host, robots = host_of(
@@ -117,21 +97,73 @@ def serve_figure(
         log=log,
         is_real_time=is_real_time,
     )
-    settings = host.settings
-    log(f"{'conducts' if settings.is_conductor else 'is a figure of'} stage {stage.name!r}")
-    commands = Commands(host, stage, robots, log, starts=starts)
+    typed = TypedOperations(stage, lambda: states(host), log)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_signals(commands))
+        stack.callback(host.close)
+        stack.enter_context(_signals(typed))
         if sources is not None:
-            stack.enter_context(sources(commands.put_operation))
-        try:
-            while not commands.has_ended:
+            stack.enter_context(sources(typed.put))
+        typed.read(sys.stdin)
+        if host.conductor is None:
+            log(f"is a figure of stage {stage.name!r}")
+            while not typed.has_ended:
                 host.turn()
-                commands.turn()
-        finally:
-            commands.close()
-            host.close()
+                typed.carry_out(host.obey)
+        else:
+            log(f"conducts stage {stage.name!r}")
+            run = conducted(stage, robots, host, log, starts=starts)
+
+            def obey(operation: AnyOperation, origin: str) -> None:
+                if not run.obey(operation):
+                    host.obey(operation, origin)
+
+            def act(_now_ns: int) -> bool:
+                typed.carry_out(obey)
+                return typed.has_ended
+
+            conduct(host, run, act)
     return EXIT_FINISHED
+
+
+def conducted(
+    stage: Stage,
+    robots: Mapping[str, Robot],
+    host: Host,
+    log: Callable[[str], None],
+    *,
+    starts: bool = False,
+    seed: int | None = None,
+) -> ConductedStage:
+    """Return a stage without pages, planned here: `log` gets what happens."""
+
+    def write(record: dict[str, Any]) -> None:
+        if "text" in record:
+            log(record["text"])
+
+    made = planned_stage(stage, robots)
+    offers = {name: Offer(one.cast, one.contents) for name, one in made.items()}
+    return ConductedStage(
+        stage,
+        offers,
+        host,
+        write,
+        waits_for_go=not starts and stage.idle is not None,
+        seed=seed,
+        plays_first=starts,
+    )
+
+
+def conduct(host: Host, run: ConductedStage, act: Callable[[int], bool]) -> None:
+    """Conduct until `act`, which is called each turn with the instant, returns true."""
+    has_ended = False
+    while not has_ended:
+        host.turn()
+        now_ns = time.monotonic_ns()
+        while host.cues:
+            run.take(*host.cues.popleft())
+        run.turn(now_ns)
+        has_ended = act(now_ns)
+    run.note_counts()
 
 
 def host_of(
@@ -203,172 +235,91 @@ def host_for(
     )
 
 
-class Commands:
-    """What the lines of standard input mean; and the planner of the conductor."""
+class TypedOperations:
+    """Operations that were typed at this computer, or that its triggers sent: from any thread."""
 
     def __init__(
-        self,
-        host: Host,
-        stage: Stage,
-        robots: dict[str, Robot],
-        log: Callable[[str], None],
-        *,
-        starts: bool = False,
+        self, stage: Stage, states: Callable[[], list[str]], log: Callable[[str], None]
     ) -> None:
         self.has_ended = False
-        self._host, self._stage, self._robots, self._log = host, stage, robots, log
+        self._stage, self._states, self._log = stage, states, log
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._operations: queue.SimpleQueue[tuple[AnyOperation, str]] = queue.SimpleQueue()
-        # A plan in this process would keep it from sending beats, and figures would hold.
-        self._planners = ProcessPoolExecutor(
-            1,
-            multiprocessing.get_context("spawn"),
-            begin_planner,
-        )
-        self._plan: tuple[str, Future[PlannedCast]] | None = None
-        self._starts = starts
-        threading.Thread(target=self._read, daemon=True).start()
-        if host.conductor is not None and stage.shows:
-            self.load(stage.idle or next(iter(stage.shows)))
 
-    def put(self, line: str) -> None:
+    def put(self, operation: AnyOperation, origin: str) -> None:
+        """Take what a trigger of this computer has sent."""
+        self._operations.put((operation, origin))
+
+    def type(self, line: str) -> None:
         """Take a line as if it had been typed."""
         self._lines.put(line)
 
-    def put_operation(self, operation: AnyOperation, origin: str) -> None:
-        """Take what a source of this computer has received; from any thread."""
-        self._operations.put((operation, origin))
+    def read(self, lines: Iterable[str]) -> None:
+        """Take lines as they come, in a thread."""
 
-    def _pass_on(self, operation: AnyOperation, origin: str) -> None:
-        """Hand a trigger to the conductor; a stop is carried out here, too."""
-        match operation:
-            case s.Trigger():
-                self._host.trigger(
-                    operation.kind,
-                    operation.address,
-                    operation.value,
-                    operation.channel,
-                    operation.source or origin,
-                )
-            case s.Cue():
-                self._host.cue(operation.label)
-            case m.Go():
-                self._do(self._host.go)
-            case m.Stop() | m.Estop():
-                self._host.stop()
-            case _:
-                self._log(f"{origin}: {operation.op} is for the conductor's computer")
+        def read() -> None:
+            with contextlib.suppress(ValueError, OSError):
+                for line in lines:
+                    self._lines.put(line)
 
-    def load(self, show: str) -> None:
-        """Plan a show for all figures, in a process of its own."""
-        if show not in self._stage.shows:
-            self._log(f"no show {show!r}; there are {', '.join(self._stage.shows)}")
-        elif self._plan is None:
-            paths = self._stage.shows[show].paths
-            source = next(iter(paths.values())) if "" in paths else dict(paths)
-            conductor = self._stage.conductor or ""
-            made = self._planners.submit(planned_cast, show, source, self._robots, conductor)
-            self._plan = (show, made)
+        threading.Thread(target=read, daemon=True).start()
 
-    def turn(self) -> None:
-        """Do what was typed, and what was asked for by other computers."""
-        if self._plan is not None and self._plan[1].done():
-            (show, made), self._plan = self._plan, None
-            try:
-                planned = made.result()
-                self._do(partial(self._host.load, planned.cast, planned.contents))
-            except (LssMotionError, BrokenProcessPool) as error:
-                self._log(f"show {show!r} cannot be planned: {error}")
+    def carry_out(self, obey: Callable[[AnyOperation, str], None]) -> None:
+        """Let `obey` carry out what has come; log what it refuses."""
         while not self._lines.empty():
-            self._obey(self._lines.get().split())
-        while not self._operations.empty():
-            self._pass_on(*self._operations.get())
-        while self._host.cues:
-            figure, ask = self._host.cues.popleft()
-            if ask.what == "go":
-                self._do(self._host.go)
-            else:
-                self._fire(ask.cue, figure)
-        conductor = self._host.conductor
-        is_loaded = conductor is not None and conductor.wanted == "ready"
-        if self._starts and is_loaded and self._host.are_all_ready():
-            self._starts = False
-            self._do(self._host.go)
-
-    def _obey(self, words: list[str]) -> None:
-        match words:
-            case ["g"]:
-                self._do(self._host.go)
-            case ["s"]:
-                self._host.stop()
-            case ["q"]:
+            words = self._lines.get().split()
+            if words == ["q"]:
                 self.has_ended = True
-            case ["l", show]:
-                self.load(show)
-            case ["c", cue]:
-                self._host.cue(cue)
-            case ["p" | "r" | "v" | "j", *rest]:
-                self._do(lambda: self._steer(words[0], rest))
-            case ["?"]:
-                for line in states(self._host):
-                    self._log(line)
-            case []:
-                pass
-            case _:
-                self._log(HELP)
+            elif words == ["?"]:
+                for text in self._states():
+                    self._log(text)
+            elif words:
+                self._do(lambda words=words: obey(operation_of(words, self._stage), "keyboard"))  # type: ignore[misc]
+        while not self._operations.empty():
+            operation, origin = self._operations.get()
+            self._do(lambda operation=operation, origin=origin: obey(operation, origin))  # type: ignore[misc]
 
-    def _steer(self, word: str, rest: list[str]) -> None:
-        conductor = self._host.conductor
-        if conductor is None:
-            raise InputError(f"{self._stage.conductor} conducts this stage")
-        now_ns = time.monotonic_ns()
-        if word == "p":
-            conductor.pause(now_ns)
-        elif word == "r":
-            conductor.resume(now_ns)
-        elif word == "v":
-            ratio = _number(rest, "v needs a share of the speed of the plan: v 0.5")
-            self._log(f"speed {conductor.set_rate(ratio, now_ns):g}")
-        else:
-            conductor.seek(_number(rest, "j needs a show time in seconds: j 12.5"), now_ns)
-
-    def _fire(self, name: str, figure: str) -> None:
-        """Fire a cue that a figure asked for: its show, or what it does."""
-        cue = self._stage.cue(name)
-        if cue is None:
-            self._log(f"figure {figure} asks for cue {name!r}, which the stage does not have")
-        elif cue.deed == "stop":
-            self._host.stop()
-        elif cue.shows:
-            self._starts = True
-            self.load(cue.shows[0])
-
-    def _do(self, call: Callable[[], object]) -> None:
+    def _do(self, call: Callable[[], None]) -> None:
         try:
             call()
         except InputError as refused:
             self._log(f"refused: {refused}")
 
-    def close(self) -> None:
-        """End the planner."""
-        self._planners.shutdown(wait=False, cancel_futures=True)
 
-    def _read(self) -> None:
-        with contextlib.suppress(ValueError, OSError):
-            for line in sys.stdin:
-                self._lines.put(line)
+def operation_of(words: Sequence[str], stage: Stage) -> AnyOperation:
+    """Return the operation that a typed line means; raise `InputError` with what there is."""
+    letter, *rest = words
+    plain: dict[str, type[m.Go | m.Stop | m.Pause | m.Resume]] = {
+        "g": m.Go,
+        "s": m.Stop,
+        "p": m.Pause,
+        "r": m.Resume,
+    }
+    has_go = stage.idle is not None or any(one.on.kind is Kind.GO for one in stage.cues)
+    match letter, rest:
+        case "g", [] if not has_go:
+            return s.StagePlay(show=next(iter(stage.shows)))
+        case _, [] if letter in plain:
+            return plain[letter]()
+        case "l", [show]:
+            return s.StagePlay(show=show)
+        case "c", [cue]:
+            return s.Cue(label=cue)
+        case "v", _:
+            return _with_number(m.Rate, "ratio", rest, "v needs a share of the speed: v 0.5")
+        case "j", _:
+            return _with_number(m.Seek, "to", rest, "j needs a show time in seconds: j 12.5")
+    raise InputError(HELP)
 
 
-def _number(words: Sequence[str], remedy: str) -> float:
-    """Return the one finite number that was typed, or raise `InputError` with the remedy."""
+def _with_number(
+    kind: type[m.Rate | m.Seek], field: str, words: Sequence[str], remedy: str
+) -> AnyOperation:
     try:
         (word,) = words
-        number = float(word)
+        return kind.model_validate({field: float(word)})
     except ValueError:
         raise InputError(remedy) from None
-    if not math.isfinite(number):
-        raise InputError(remedy)
-    return number
 
 
 def states(host: Host) -> list[str]:
@@ -377,16 +328,16 @@ def states(host: Host) -> list[str]:
     if conductor is None:
         return [f"{host.figure.name}: {host.figure.state} {host.figure.text}".rstrip()]
     found = []
-    for name, seat in conductor.seats.items():
-        status = seat.status
+    for name, one in conductor.figures.items():
+        status = one.status
         if status is None:
             found.append(f"{name}: not connected")
             continue
         bound = "" if status.bound_ns is None else f", clock ± {status.bound_ns / 1e6:.2f} ms"
         show = "" if status.show_s is None else f", at {status.show_s:.2f} s"
         off = "" if status.off_s is None else f" ({1e3 * status.off_s:+.1f} ms)"
-        text = f": {status.text or seat.problem}" if status.text or seat.problem else ""
-        state = "lost" if seat.is_lost(time.monotonic_ns()) else status.state
+        text = f": {status.text or one.problem}" if status.text or one.problem else ""
+        state = "lost" if one.is_lost(time.monotonic_ns()) else status.state
         found.append(f"{name}: {state}{show}{off}{bound}{text}")
     return found
 
@@ -401,13 +352,13 @@ def _log(figure: str) -> Callable[[str], None]:
 
 
 @contextlib.contextmanager
-def _signals(commands: Commands):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _signals(typed: TypedOperations):  # type: ignore[no-untyped-def]  # noqa: ANN202
     """End at the first signal; the second one ends this process at once."""
 
     def note(number: int, _frame: object) -> None:
-        if commands.has_ended:
+        if typed.has_ended:
             os._exit(128 + number)
-        commands.has_ended = True
+        typed.has_ended = True
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import pickle
-import time
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,13 +17,12 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from lss_motion.errors import InputError, LssMotionError
+from lss_motion.errors import LssMotionError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.player_end import LossRule
-from lss_motion.stage.hosts.conducting import Conducting, Offer
-from lss_motion.stage.hosts.host import TURN_S
+from lss_motion.stage.hosts.conducting import ConductedStage, Offer
 from lss_motion.stage.hosts.plans import SEPARATOR
-from lss_motion.stage.hosts.serving import host_for
+from lss_motion.stage.hosts.serving import conduct, host_for
 from lss_motion.stage.job import StageOutcome, StageSteering
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.records import must_restart
@@ -127,7 +125,7 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
                 may_run=bool(options.get("may_run")),
             )
             stack.callback(host.close)
-            run = Conducting(
+            run = ConductedStage(
                 self.stage,
                 self.offers,
                 host,
@@ -139,14 +137,12 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
                 plays_first=bool(options.get("goes")),
             )
             steering.begin_conducting(run)
-            while not steering.has_stopped:
-                host.turn(TURN_S)
-                now_ns = time.monotonic_ns()
-                while host.cues:
-                    run.take(*host.cues.popleft())
-                run.turn(now_ns)
+
+            def act(now_ns: int) -> bool:
                 steering.act(None, now_ns)
-            run.note_counts()
+                return steering.has_stopped
+
+            conduct(host, run, act)
 
 
 class ConductorSteering(StageSteering):
@@ -155,11 +151,11 @@ class ConductorSteering(StageSteering):
     def __init__(self, operator: Operator, job: ConductorJob) -> None:
         super().__init__(operator, job.rule)
         self._job = job
-        self._conducting: Conducting | None = None
+        self._conducting: ConductedStage | None = None
         self._texts: list[str] = []
         """Logged before there was a run."""
 
-    def begin_conducting(self, run: Conducting) -> None:
+    def begin_conducting(self, run: ConductedStage) -> None:
         """Send the first event."""
         from lss_motion.playing.connection import is_simulated
 
@@ -212,22 +208,8 @@ class ConductorSteering(StageSteering):
 
     def _direct(self, operation: m.AnyOperation) -> bool:
         assert self._conducting is not None
-        conductor, now_ns = self._conducting.conductor, self._conducting.now_ns
-        match operation:
-            case m.Pause():
-                conductor.pause(now_ns)
-            case m.Resume():
-                conductor.resume(now_ns)
-            case m.Rate() | m.Seek() if self._conducting.is_led:
-                raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
-            case m.Rate():
-                conductor.set_rate(operation.ratio, now_ns)
-            case m.Seek():
-                if not isinstance(operation.to, int | float):
-                    raise InputError("a show of several figures goes to a time, not to a label")
-                conductor.seek(float(operation.to), now_ns)
-                return True
-            case _:
-                return super()._direct(operation)
-        self.operator.send(m.RateChanged(ratio=conductor.speed, is_paused=conductor.is_paused))
-        return True
+        is_done = self._conducting.obey(operation)
+        if isinstance(operation, m.Pause | m.Resume | m.Rate):
+            legs = self._conducting.conductor.legs
+            self.operator.send(m.RateChanged(ratio=legs.speed, is_paused=legs.is_paused))
+        return is_done

@@ -10,15 +10,9 @@ from benches.stage_model import World
 from lss_motion.errors import InputError
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.playing.remote.stage_messages import StageState
-from lss_motion.stage.hosts.conducting import (
-    ARM_LEAD_LEAST_S,
-    ARM_LEAD_RATIO,
-    ARM_LEAD_S,
-    Conducting,
-    Offer,
-)
-from lss_motion.stage.hosts.host import Host
-from lss_motion.stage.hosts.messages import Ask, Cast, Part, hash_of, packed
+from lss_motion.stage.hosts.conducting import ConductedStage, Offer
+from lss_motion.stage.hosts.conductor import ARM_LEAD_LEAST_S, ARM_LEAD_RATIO, ARM_LEAD_S
+from lss_motion.stage.hosts.messages import Ask, Cast, Catalogue, Part, hash_of, packed
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.stage_timecode import StageTimecode
 from lss_motion.units import NS_PER_S
@@ -44,24 +38,19 @@ on_fault: {others: hold, wait_s: 3}
 LONG_S = 20.0
 
 
-class Bridge(Host):
+class Bridge:
     """The host of the conductor without its network and its player, in virtual time."""
 
     def __init__(self, world):
-        self.world, self.conductor = world, world.conductor
-        self.texts = []
-        self.log = self.texts.append
-        self.player = SimpleNamespace(stop=lambda: None)
-        self._store = SimpleNamespace(put=lambda one: world.store.update({hash_of(one): one}))
-        self._now_ns = lambda: world.now_ns
-        self._arming_ns = self._leader = None
+        self.world, self.conducts = world, world.conductor
 
-    def tick(self):
-        conductor, now_ns = self.conductor, self.world.now_ns
-        if self._arming_ns is not None:
-            self._start(conductor, self._arming_ns, now_ns)
-        if conductor.leg is not None and self._is_over(conductor, now_ns):
-            conductor.end()
+    def keep(self, contents):
+        self.world.store.update({hash_of(one): one for one in contents})
+
+    def offer(self, casts):
+        catalogue = packed(Catalogue(casts=tuple(hash_of(packed(cast)) for cast in casts)))
+        self.keep([catalogue])
+        self.conducts.catalogue = hash_of(catalogue)
 
 
 def begun(folder, text, timecode=None, show_s=LONG_S):
@@ -85,12 +74,11 @@ def begun(folder, text, timecode=None, show_s=LONG_S):
         offers[name] = Offer(cast, contents)
     given = stage.sync.timecode
     led = None if given is None else StageTimecode(given, timecode(world))
-    run = Conducting(stage, offers, bridge, records.append, seed=1, timecode=led)
+    run = ConductedStage(stage, offers, bridge, records.append, seed=1, timecode=led)
     texts = lambda: " | ".join(one["text"] for one in records)  # noqa: E731
 
     def until(is_true, seconds):
         def turn():
-            bridge.tick()
             run.turn(world.now_ns)
             return is_true()
 
@@ -98,7 +86,7 @@ def begun(folder, text, timecode=None, show_s=LONG_S):
 
     def playing(show):
         main = run.director.main
-        is_under_way = run.phase == "playing" and world.states() == {"playing"}
+        is_under_way = run.conductor.state == "playing" and world.states() == {"playing"}
         return is_under_way and main is not None and main.show == show
 
     return SimpleNamespace(
@@ -123,9 +111,9 @@ def test_a_trigger_at_any_figure_interrupts_the_show_of_all_which_is_resumed(eve
     evening.until(lambda: evening.conductor.show_s(evening.world.now_ns) > 5.0, 10.0)
     evening.run.take("f1", ask(what="trigger", kind="osc", cue="/door", value=1.0))
     evening.until(lambda: evening.playing("scare"), 30.0)
-    assert evening.conductor.leg.show_s == 0.0
+    assert evening.conductor.legs.newest.show_s == 0.0
     evening.until(lambda: evening.playing("hello"), 60.0)
-    assert 5.0 <= evening.conductor.leg.show_s < 8.0  # Where it was left.
+    assert 5.0 <= evening.conductor.legs.newest.show_s < 8.0  # Where it was left.
     starts = [one.player.follows[-1][1] for one in evening.world.hosts.values()]
     assert len(starts) == 3
     state = StageState(**evening.run.state_of(), show_plan=None)
@@ -191,6 +179,21 @@ def test_a_cue_that_there_is_not_is_named_and_a_stop_ends_all(evening):
     evening.run.director.do("wake", began_ns)
     evening.until(lambda: evening.playing("idle"), 30.0)
     assert evening.world.now_ns - began_ns < 15 * NS_PER_S
+
+
+def test_a_stop_at_any_figure_lasts_until_something_is_played(evening):
+    world, conductor = evening.world, evening.conductor
+    evening.until(lambda: evening.playing("idle"), 30.0)
+    evening.run.take("f2", ask(what="trigger", kind="key", cue="h", source="keyboard"))
+    conductor.stop(world.now_ns)
+    evening.run.take("f2", ask(what="stop"))
+    evening.until(lambda: world.states() == {"stopped"}, 10.0)
+    run_until_ns = world.now_ns + 20 * NS_PER_S
+    evening.until(lambda: world.now_ns >= run_until_ns, 30.0)
+    assert world.states() == {"stopped"}
+    evening.run.take("f1", ask(what="go"))
+    evening.until(lambda: evening.playing("idle"), 30.0)
+    assert "GO: the stage goes on" in evening.texts()
 
 
 def test_what_figures_cannot_do_together_is_refused_with_its_line(tmp_path):
@@ -308,19 +311,19 @@ def test_a_pause_and_a_lost_figure_hold_all_whatever_the_timecode_does(tmp_path)
     own.until(lambda: own.playing("hello") and conductor.show_s(world.now_ns) > 2.0, 40.0)
     conductor.pause(world.now_ns)
     run(3.0)
-    assert conductor.leg.rate == 0.0, "a person has paused it"
-    conductor.resume(world.now_ns)
+    assert conductor.legs.newest.rate == 0.0, "a person has paused it"
+    conductor.pause(world.now_ns, is_paused=False)
     run(4.0)
     assert off_s() == pytest.approx([0.0] * 3, abs=0.03)
     world.hosts["f2"].is_cut = True
     run(4.0)
-    assert conductor.leg.rate == 0.0, "others: hold"
+    assert conductor.legs.newest.rate == 0.0, "others: hold"
     world.hosts["f2"].is_cut = False
     run(4.5)
     assert off_s() == pytest.approx([0.0] * 3, abs=0.03)
     run(5.0)
     assert at(world.now_ns / NS_PER_S) is None
-    assert conductor.leg.rate == 0.0, "lost: hold"
+    assert conductor.legs.newest.rate == 0.0, "lost: hold"
 
 
 def test_a_show_joins_the_timecode_after_as_long_as_the_robots_needed_before(tmp_path):
@@ -337,7 +340,7 @@ def test_a_show_joins_the_timecode_after_as_long_as_the_robots_needed_before(tmp
         leads_s.append(conductor.beat().start_s - led_s)
         own.until(lambda: own.playing("hello"), 19.0)
         own.until(lambda: conductor.wanted != "armed", 30.0)
-    needed_s = own.run.host.armed_s
+    needed_s = conductor.armed_s
     assert 1.0 < needed_s < 5.0
     wanted_s = [ARM_LEAD_S, max(ARM_LEAD_LEAST_S, ARM_LEAD_RATIO * needed_s + 1.0)]
     assert leads_s == pytest.approx(wanted_s, abs=0.1)

@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("zenoh", reason="needs the extra `network`")
 
 from lss_motion.cli.main import main
-from lss_motion.stage.hosts.conductor import FigureSeat
 from lss_motion.stage.hosts.examine import rows_of
 from lss_motion.stage.hosts.messages import Finding, Findings, Status, hash_of
+from lss_motion.stage.hosts.remote_figures import RemoteFigure
 
 ROOT = Path(__file__).parents[3]
 STAGE = """\
@@ -73,7 +73,7 @@ def seat(**changes):
         "bound_ns": 200_000,
         "round_trip_ns": 400_000,
     }
-    return FigureSeat("right", status=Status(**{**plain, **changes}))
+    return RemoteFigure("right", status=Status(**{**plain, **changes}))
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,10 @@ import pytest
 
 from benches.stage_model import LOOPBACK, WIFI, World
 from lss_motion.errors import InputError
-from lss_motion.stage.hosts.conductor import LEAD_NS
+from lss_motion.stage.hosts.conductor import READY_S, State
 from lss_motion.stage.hosts.figure import Fetch, PlayerView, Verify
-from lss_motion.stage.hosts.messages import Beat, StopAll, hash_of
+from lss_motion.stage.hosts.legs import LEAD_NS
+from lss_motion.stage.hosts.messages import Beat, hash_of
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 
@@ -33,12 +34,12 @@ def test_a_leg_takes_effect_a_second_ahead_for_all():
     world = playing()
     conductor, before_ns = world.conductor, world.now_ns
     conductor.pause(before_ns)
-    assert conductor.leg.instant_ns >= before_ns + LEAD_NS
-    place_s = conductor.leg.show_s
+    assert conductor.legs.newest.instant_ns >= before_ns + LEAD_NS
+    place_s = conductor.legs.newest.show_s
     world.run(2.0)
     shown = [host.player.view.show_s for host in world.hosts.values()]
     assert shown == pytest.approx([place_s] * 4, abs=1e-9)
-    conductor.resume(world.now_ns)
+    conductor.pause(world.now_ns, is_paused=False)
     world.run(2.0)
     shown = [host.player.view.show_s for host in world.hosts.values()]
     assert statistics.mean(shown) == pytest.approx(conductor.show_s(world.now_ns), abs=0.02)
@@ -52,17 +53,16 @@ def test_another_speed_is_one_that_figures_follow_and_lasts_until_the_next_start
         assert conductor.set_rate(asked, world.now_ns) == rate
         world.run(2.5)
         shown = [host.player.view.show_s for host in world.hosts.values()]
-        assert conductor.leg.rate == rate
+        assert conductor.legs.newest.rate == rate
         assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
     conductor.pause(world.now_ns)
-    assert conductor.leg.rate == 0.0
+    assert conductor.legs.newest.rate == 0.0
     world.run(2.0)
-    conductor.resume(world.now_ns)
-    assert conductor.leg.rate == 0.35
-    conductor.end()
-    assert world.run(5.0, lambda: world.states() == {"ready"})
+    conductor.pause(world.now_ns, is_paused=False)
+    assert conductor.legs.newest.rate == 0.35
+    conductor.leave(world.now_ns)
     world.go()
-    assert conductor.leg.rate == 1.0
+    assert conductor.legs.newest.rate == 1.0
 
 
 def test_a_slow_show_is_slowed_further_for_a_lost_figure_as_far_as_figures_follow():
@@ -70,13 +70,13 @@ def test_a_slow_show_is_slowed_further_for_a_lost_figure_as_far_as_figures_follo
     world.conductor.set_rate(0.3, world.now_ns)
     world.hosts["f2"].is_cut = True
     world.run(4.0)
-    assert world.conductor.leg.rate == 0.2
+    assert world.conductor.legs.newest.rate == 0.2
 
 
 def test_nothing_is_paused_or_sought_that_does_not_play():
     world = World(2, seed=3)
     conductor = world.conductor
-    for call in (conductor.pause, conductor.resume, lambda ns: conductor.set_rate(0.5, ns)):
+    for call in (conductor.pause, lambda ns: conductor.set_rate(0.5, ns)):
         with pytest.raises(InputError, match="no show plays"):
             call(0)
     world = playing(show_s=30.0)
@@ -94,14 +94,14 @@ def test_a_sought_place_is_played_from_when_all_robots_stand_there(is_paused):
     if is_paused:
         world.run(0.5)
         conductor.pause(world.now_ns)
-    assert not world.run(3.5, lambda: conductor.leg.rate > 0.0)
+    assert not world.run(3.5, lambda: conductor.legs.newest.rate > 0.0)
     assert {host.player.view.show_s for host in world.hosts.values()} == {40.0}
     if is_paused:
-        assert not world.run(3.0, lambda: conductor.leg.rate > 0.0)
-        conductor.resume(world.now_ns)
-    assert world.run(1.5, lambda: conductor.leg.rate == 1.0)
-    assert conductor.leg.show_s == 40.0
-    assert conductor.leg.instant_ns >= world.now_ns + LEAD_NS - NS_PER_S // 10
+        assert not world.run(3.0, lambda: conductor.legs.newest.rate > 0.0)
+        conductor.pause(world.now_ns, is_paused=False)
+    assert world.run(1.5, lambda: conductor.legs.newest.rate == 1.0)
+    assert conductor.legs.newest.show_s == 40.0
+    assert conductor.legs.newest.instant_ns >= world.now_ns + LEAD_NS - NS_PER_S // 10
     world.run(3.0)
     shown = [host.player.view.show_s for host in world.hosts.values()]
     assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
@@ -115,7 +115,7 @@ def test_a_figure_that_does_not_come_to_a_sought_place_is_not_waited_for_for_eve
     world = playing(show_s=60.0)
     world.hosts["f2"].player.way_ns = 300 * NS_PER_S
     world.conductor.seek(40.0, world.now_ns)
-    assert world.run(35.0, lambda: world.conductor.leg.rate == 1.0)
+    assert world.run(35.0, lambda: world.conductor.legs.newest.rate == 1.0)
 
 
 def test_pause_and_resume_within_a_second_lose_nothing():
@@ -123,7 +123,7 @@ def test_pause_and_resume_within_a_second_lose_nothing():
     conductor = world.conductor
     conductor.pause(world.now_ns)
     world.run(0.2)
-    conductor.resume(world.now_ns)
+    conductor.pause(world.now_ns, is_paused=False)
     world.run(3.0)
     shown = [host.player.view.show_s for host in world.hosts.values()]
     assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
@@ -132,11 +132,9 @@ def test_pause_and_resume_within_a_second_lose_nothing():
 def test_stop_is_once_however_often_it_arrives():
     world = playing()
     conductor = world.conductor
-    conductor.stop()
-    conductor.stop()
-    stop = StopAll(
-        conductor="f0", epoch=conductor.epoch, instance=conductor.instance, run=conductor.run
-    )
+    conductor.stop(world.now_ns)
+    conductor.stop(world.now_ns)
+    stop = conductor.stop_message()
     for _ in range(20):
         for host in world.hosts.values():
             host.figure.take_stop(stop)
@@ -148,17 +146,13 @@ def test_stop_is_once_however_often_it_arrives():
 def test_after_a_stop_the_same_show_can_be_played_again():
     world = playing()
     conductor = world.conductor
-    conductor.stop()
+    conductor.stop(world.now_ns)
     assert world.run(5.0, lambda: world.states() == {"stopped"})
-    stop = StopAll(
-        conductor="f0", epoch=conductor.epoch, instance=conductor.instance, run=conductor.run
-    )
-    conductor.load(world.cast)
-    world.run(0.5)
+    stop = conductor.stop_message()
+    world.play()
+    world.wait(State.ARMING)
     world.hosts["f1"].figure.take_stop(stop)  # It comes late.
-    world.run(0.5)
-    assert world.states() == {"ready"}
-    world.go()
+    world.wait(State.PLAYING)
     assert world.run(5.0, lambda: world.states() == {"playing"}), world.states()
 
 
@@ -169,7 +163,7 @@ def test_a_figure_that_the_show_left_behind_is_ready_for_the_next_one():
     host.player.tick = lambda _: host.player.view
     assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
     host.player.view = PlayerView("none")
-    world.conductor.end()
+    world.wait(State.STANDING)
     assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
 
 
@@ -195,23 +189,24 @@ def test_a_lost_figure_leaves_the_others_to_the_rule(others, rate):
     lost, conductor = world.hosts["f2"], world.conductor
     lost.is_cut = True
     world.run(3.0)
-    assert conductor.leg.rate == rate
+    assert conductor.legs.newest.rate == rate
     assert "f2: lost" in " ".join(world.notes)
     assert world.hosts["f1"].figure.state == "playing"
     lost.is_cut = False
-    assert world.run(20.0, lambda: conductor.leg.rate == 1.0 and lost.figure.state == "playing")
+    assert world.run(
+        20.0, lambda: conductor.legs.newest.rate == 1.0 and lost.figure.state == "playing"
+    )
 
 
 def test_a_host_that_starts_again_rejoins():
     world = playing(others="hold", show_s=120.0)
-    host = world.hosts["f3"]
+    conductor, host = world.conductor, world.hosts["f3"]
     world.run(5.0)
     host.start()
-    world.run(3.0)
-    assert world.conductor.leg.rate == 0.0
+    assert world.run(3.0, lambda: conductor.legs.newest.rate == 0.0)
     assert world.run(30.0, lambda: world.states() == {"playing"}), host.log
     world.run(2.0)
-    assert world.conductor.leg.rate == 1.0
+    assert world.conductor.legs.newest.rate == 1.0
     shown = [one.player.view.show_s for one in world.hosts.values()]
     assert max(shown) - min(shown) <= 0.02
     assert "f3 has started again" in " ".join(world.notes)
@@ -220,8 +215,10 @@ def test_a_host_that_starts_again_rejoins():
 def test_a_figure_that_two_processes_serve_is_named_once_a_minute_and_cannot_start():
     world = World(3, seed=4)
     conductor, host = world.conductor, world.hosts["f1"]
-    conductor.load(world.cast)
-    assert world.run(10.0, lambda: world.states() == {"ready"})
+    world.robots["f2"] = hash_of(b"another robot")
+    world.hosts["f2"].start()  # So the show is not armed meanwhile.
+    world.play()
+    assert world.run(10.0, lambda: world.states() == {"ready", "out"})
     status = host.figure.status(host.now_ns())
     before = len(world.notes)
     for count in range(900):
@@ -233,10 +230,9 @@ def test_a_figure_that_two_processes_serve_is_named_once_a_minute_and_cannot_sta
     assert sum("the port is in use" in note for note in notes) == 1, notes
     assert sum("two processes serve it: end one of them" in note for note in notes) == 2, notes
     assert len(notes) == 4
-    with pytest.raises(InputError, match="f1: two processes serve it"):
-        conductor.arm(world.now_ns)
+    assert "f1: two processes serve it" in "; ".join(conductor.problems(world.now_ns))
     world.run(2.0)
-    conductor.arm(world.now_ns)
+    assert "f1" not in "; ".join(conductor.problems(world.now_ns))
 
 
 def test_a_figure_whose_conductor_is_not_there_says_so_once():
@@ -249,8 +245,7 @@ def test_a_figure_whose_conductor_is_not_there_says_so_once():
     assert len(host.log) == 1
     assert "nothing arrives from the conductor f0: is it served, are address" in host.log[0]
     world.is_conducting = True
-    world.conductor.load(world.cast)
-    assert world.run(10.0, lambda: world.states() == {"ready"})
+    world.go()
     assert "nothing arrives" not in " ".join(host.log[1:])
 
 
@@ -258,7 +253,7 @@ def test_why_a_figure_stops_is_told_once():
     world = playing()
     host = world.hosts["f1"]
     host.player.tick = lambda _now_ns: PlayerView("playing", 3.0)  # It takes long to stop.
-    world.conductor.stop()
+    world.conductor.stop(world.now_ns)
     world.run(4.0)
     assert sum("stops: the conductor stopped all" in text for text in host.log) == 1, host.log
 
@@ -269,14 +264,14 @@ def test_why_a_figure_stops_is_told_again_after_a_show_that_left_it_behind():
     tick = host.player.tick
     host.player.tick = lambda _: PlayerView("playing", 1.0)  # It holds somewhere, and never ends.
     assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
-    world.conductor.end()
+    world.wait(State.STANDING)
     world.run(0.5)  # It is ready in the turn in which its player has ended.
     host.player.tick, host.player.view = tick, PlayerView("none")
     assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
     world.go()
     world.run(3.0)
     mark = len(host.log)
-    world.conductor.stop()
+    world.conductor.stop(world.now_ns)
     assert world.run(5.0, lambda: host.figure.state == "stopped")
     assert "stops: the conductor stopped all" in host.log[mark:], host.log[mark:]
 
@@ -302,26 +297,23 @@ def test_a_figure_that_holds_beyond_the_end_gives_up():
 
 def test_another_robot_stays_out_and_says_so():
     world = World(3, seed=2, robots={"f1": hash_of(b"another robot")})
-    world.conductor.load(world.cast)
-    world.run(10.0)
+    world.play()
+    world.run(READY_S + 5.0)
     assert world.hosts["f1"].figure.state == "out"
-    with pytest.raises(InputError, match="f1: out: its robot file differs"):
-        world.conductor.arm(world.now_ns)
+    assert "f1: out: its robot file differs" in refusal(world)
 
 
 def test_the_others_start_without_a_figure_if_they_go_on_without_one():
     world = World(3, seed=2, robots={"f1": hash_of(b"another robot")}, others="go_on", show_s=60.0)
     conductor = world.conductor
-    conductor.load(world.cast)
-    assert world.run(10.0, lambda: not conductor.problems(world.now_ns))
+    world.play()
+    world.wait(State.ARMING)
     assert list(conductor.absent(world.now_ns)) == ["f1"]
-    conductor.arm(world.now_ns)
-    assert world.run(10.0, lambda: conductor.is_armed(world.now_ns))
-    conductor.start(world.now_ns)
+    world.wait(State.PLAYING, seconds=10.0)
     world.run(3.0)
     states = {name: host.figure.state for name, host in world.hosts.items()}
     assert states == {"f0": "playing", "f1": "out", "f2": "playing"}
-    assert not conductor.has_failed(world.now_ns)
+    assert conductor.state is State.PLAYING
     assert "starts without f1: out: its robot file differs" in " ".join(world.notes)
     world.hosts["f1"].figure.robot = world.cast.parts["f1"].robot  # It got the right file.
     assert world.run(20.0, lambda: world.states() == {"playing"})
@@ -329,10 +321,9 @@ def test_the_others_start_without_a_figure_if_they_go_on_without_one():
 
 def test_a_show_does_not_start_without_all_of_its_figures():
     world = World(1, seed=2, robots={"f0": hash_of(b"another robot")}, others="go_on")
-    world.conductor.load(world.cast)
-    world.run(10.0)
-    with pytest.raises(InputError, match="f0: out"):
-        world.conductor.arm(world.now_ns)
+    world.play()
+    world.run(READY_S + 5.0)
+    assert "f0: out" in refusal(world)
 
 
 def test_a_plan_that_is_stored_no_more_is_fetched_again():
@@ -349,18 +340,22 @@ def test_a_plan_that_is_stored_no_more_is_fetched_again():
             type(host)._do(host, action, now_ns)
 
     host._do = do
-    world.conductor.load(world.cast)
-    assert world.run(10.0, lambda: world.states() == {"ready"}), host.log
+    world.play()
+    world.wait(State.ARMING, seconds=10.0)
     assert [type(one) for one in seen] == [Verify, Fetch]
 
 
 def test_a_clock_that_is_not_known_refuses_the_start():
     slow = type(WIFI)(15 * NS_PER_MS, 0)
     world = World(2, seed=2, link=slow)
-    world.conductor.load(world.cast)
-    world.run(15.0)
-    with pytest.raises(InputError, match="its clock is known to 15 ms only, allowed are 10"):
-        world.conductor.arm(world.now_ns)
+    world.play()
+    world.run(READY_S + 5.0)
+    assert "its clock is known to 15 ms only, allowed are 10" in refusal(world)
+
+
+def refusal(world):
+    (reason,) = [one[2] for one in world.told if one[0] == "refused"]
+    return reason
 
 
 def forged(world, **changes):
@@ -377,16 +372,16 @@ def test_one_forged_beat_does_not_deafen_a_figure(changes):
     world = playing(show_s=60.0)
     conductor, host = world.conductor, world.hosts["f1"]
     if changes.get("leg") == "later":
-        changes = changes | {"leg": conductor.leg.model_copy(update={"number": 10**9})}
+        changes = changes | {"leg": conductor.legs.newest.model_copy(update={"number": 10**9})}
     beat = conductor.beat()
     count = beat.count + changes.get("count", 1)
     host.figure.take_beat(beat.model_copy(update={**changes, "count": count}), host.now_ns())
     world.run(1.5)
     conductor.pause(world.now_ns)
     world.run(2.0)
-    assert host.figure.beat.leg == conductor.leg
-    assert host.player.view.show_s == pytest.approx(conductor.leg.show_s, abs=1e-9)
-    conductor.stop()
+    assert host.figure.beat.leg == conductor.legs.newest
+    assert host.player.view.show_s == pytest.approx(conductor.legs.newest.show_s, abs=1e-9)
+    conductor.stop(world.now_ns)
     assert world.run(2.0, lambda: host.figure.state == "stopped"), host.log
 
 
@@ -434,7 +429,7 @@ def test_strangers_do_not_fill_the_memory_of_a_figure():
 def test_second_and_stale_conductors_are_refused():
     world = playing()
     host = world.hosts["f1"]
-    figure, leg = host.figure, world.conductor.leg
+    figure, leg = host.figure, world.conductor.legs.newest
     stopped = {"wanted": "stopped"}
     other = "0123456789abcdef"
     for beat, why in (
@@ -447,7 +442,7 @@ def test_second_and_stale_conductors_are_refused():
         world.run(0.5)
         assert figure.state == "playing"
         assert pytest.importorskip("re").search(why, " ".join(host.log))
-    assert world.conductor.leg == leg
+    assert world.conductor.legs.newest == leg
 
 
 def test_a_conductor_after_another_one_is_followed_without_a_word_about_its_epoch():
@@ -520,5 +515,5 @@ def test_a_clock_that_jumps_in_the_show_is_followed():
     follow = host.player.follows[-1][1]
     true_ns = follow.instant_ns - host.clock.own_ns(0) - 250 * NS_PER_MS
     assert host.estimator.restarts == 1
-    leg_s = world.conductor.leg.at_s(round(true_ns))
+    leg_s = world.conductor.legs.newest.at_s(round(true_ns))
     assert follow.show_s == pytest.approx(leg_s, abs=0.003)
