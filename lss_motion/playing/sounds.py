@@ -10,16 +10,11 @@ Where it cannot play (no library, no device), `SoundDesk.problem` says why, and
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
-import select
-import subprocess
-import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.playing.performer_process import SOUND_PLAYERS, sound_player
@@ -27,6 +22,25 @@ from lss_motion.playing.player.events import Noted
 from lss_motion.playing.player.show_clock import TRIM_MAX_RATIO, Leg
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.system.clock_leg import RATE_BAND
+from lss_motion.system.process import ChildProcess
+from lss_motion.system.sound_messages import (
+    ClearSounds,
+    DeviceLost,
+    DeviceOpened,
+    Dropouts,
+    EndSounds,
+    Heard,
+    NoDevice,
+    PlaySound,
+    SetLeads,
+    SetLeg,
+    SetOffset,
+    SoundBegun,
+    SoundFailed,
+    SoundNews,
+    StillPlaying,
+    WrongRate,
+)
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -38,22 +52,20 @@ if TYPE_CHECKING:
     from lss_motion.playing.sound_choice import SoundChoice
     from lss_motion.show.model import Cue
     from lss_motion.system.clock_leg import ClockLeg
+    from lss_motion.system.sound_messages import SoundOrder
 
 OPEN_S: Final = 10.0
 """The longest time that a device may take to open. A Bluetooth speaker needs 3 s."""
 AHEAD_S: Final = 3.0
 """A sound is handed over so long before its time, so that its file can be opened and read."""
-NEVER_S: Final = 1e12
 BACK_S: Final = 0.02
 """A stall or a wait takes the show clock back by a little."""
 ALIVE_NS: Final = NS_PER_S // 5
-COMMAND: Final = (sys.executable, "-P", "-m", "lss_motion.sound.process")
-"""-P: no module of the current folder is imported in place of an installed one."""
+PROCESS: Final = "lss_motion.sound.process"
 NAMES_MAX: Final = 200
 """The files of so many last sounds are known by name if they fail."""
 END_S: Final = 1.5
 """The longest time that fading out may take."""
-READ_BYTES: Final = 65536
 
 
 class SoundDesk:
@@ -83,8 +95,7 @@ class SoundDesk:
         self._alive_ns = 0
         self._start_s = self._shown_s = start_s or 0.0
         self._followed_s: float | None = None
-        self._rest = b""
-        self._child: subprocess.Popen[bytes] | None = None
+        self._child: ChildProcess[SoundNews] | None = None
         self._lengths_s = self._checked({cue.sound: cue for cue in program.cues if cue.sound})
         if not has_soundfile():
             self.problem = f"a library is missing: {install_command('sound')}"
@@ -111,23 +122,22 @@ class SoundDesk:
     def turn(self, player: Player, now_ns: int) -> None:
         """Tell the process what has changed; let the show follow what is heard."""
         if self._child is not None:
+            self._read(self._child, player, now_ns)
             self._play(player, now_ns)
         for text in self.take_troubles():
             self._note_request(f"sound {json.dumps(text)}", now_ns)
             player.lose_sound(text, now_ns)
 
     def _play(self, player: Player, now_ns: int) -> None:
-        self._read(player, now_ns)
         show = player.show
         if player.changes != self._changes:
             self._change(player)
         if player.is_leaving and not self._is_cleared:
-            self._is_cleared = self._send(clear=1)
+            self._is_cleared = self._send(ClearSounds())
         if show is not None and player.show_ended_ns is None and not player.is_leaving:
             if show.clock.leg is not self._leg:
                 self._leg = leg = show.clock.leg
-                values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
-                self._send(leg=[*values, leg.trim_ratio])
+                self._send(SetLeg(leg))
             show_s = show.show_s(now_ns)
             if show_s < self._shown_s - BACK_S:
                 self._go_back(show_s)
@@ -136,17 +146,17 @@ class SoundDesk:
         offset_s = self._robot_offset_s + self._choice.shift_s
         if offset_s != self._sent_offset_s:
             self._sent_offset_s = self.report.offset_s = round(offset_s, 4)
-            self._send(offset_s=offset_s)
+            self._send(SetOffset(offset_s))
             self._tell(Noted(f"sounds {1000.0 * offset_s:+.0f} ms"))
         if now_ns - self._alive_ns >= ALIVE_NS:
             self._alive_ns = now_ns
-            self._send(alive=1)
+            self._send(StillPlaying())
         if player.show_ended_ns is not None:
             self.silence()
 
     def silence(self) -> None:
         """Fade everything out: the show is over."""
-        self._send(end=1)
+        self._send(EndSounds())
 
     def take_troubles(self) -> list[str]:
         """Return what cannot be played, since the last call."""
@@ -156,23 +166,8 @@ class SoundDesk:
     def close(self) -> None:
         """Fade out and end the process, for `END_S` at most."""
         child, self._child = self._child, None
-        if child is None:
-            return
-        assert child.stdin is not None
-        assert child.stdout is not None
-        with contextlib.suppress(OSError):
-            child.stdin.close()
-        end_s = time.monotonic() + END_S
-        with contextlib.suppress(OSError):
-            while (left_s := end_s - time.monotonic()) > 0.0:
-                if select.select([child.stdout], [], [], left_s)[0]:
-                    data = os.read(child.stdout.fileno(), READ_BYTES)
-                    if not data:
-                        break
-                    self._take_all(data, None, 0)
-        child.kill()
-        child.wait()
-        child.stdout.close()
+        if child is not None:
+            child.end(END_S, lambda news: self._take(news, None, 0))
 
     # ---- before the show
 
@@ -204,45 +199,31 @@ class SoundDesk:
             self.troubles.append(f"sound {name} cannot be played: {reason}")
 
     def _open(self, device: str) -> None:
-        child = subprocess.Popen(  # noqa: S603  our own program
-            [*COMMAND, device],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # Drivers print there whatever they try.
-            start_new_session=True,  # Ctrl-C ends the player only; this ends with its pipe.
-        )
-        assert child.stdin is not None
-        assert child.stdout is not None
+        child: ChildProcess[SoundNews]
+        child = ChildProcess(PROCESS, device, receives=SoundNews, is_quiet=True)
         self._child = child
-        self._pipe_fd, self._reports_fd = child.stdin.fileno(), child.stdout.fileno()
-        os.set_blocking(self._pipe_fd, False)
-        os.set_blocking(self._reports_fd, False)
         end_s = time.monotonic() + OPEN_S
         while not self.report.device and not self.problem:
-            left_s = max(end_s - time.monotonic(), 0.0)
-            if not select.select([self._reports_fd], [], [], left_s)[0]:
-                self.problem = f"the sound device does not open within {OPEN_S:g} s"
-            elif not (data := os.read(self._reports_fd, READ_BYTES)):
+            for news in child.receive_within(end_s - time.monotonic()):
+                self._take(news, None, 0)
+            if child.has_ended:
                 self.problem = "the process that plays sounds has ended"
-            else:
-                self._take_all(data, None, 0)
+            elif time.monotonic() >= end_s:
+                self.problem = f"the sound device does not open within {OPEN_S:g} s"
         if self.problem:
-            child.kill()
-            child.wait()
-            child.stdin.close()
-            child.stdout.close()
+            child.close()
             self._child = None
             return
         if self._sent_offset_s:
-            self._send(offset_s=self._sent_offset_s)
+            self._send(SetOffset(self._sent_offset_s))
         if not self._choice.leads:
-            self._send(leads=False)
+            self._send(SetLeads(leads=False))
 
     # ---- during the show
 
     def _change(self, player: Player) -> None:
         """Fade out what sounds; from now on, the sounds of another program are played."""
-        if not self._is_cleared and not self._send(clear=1):
+        if not self._is_cleared and not self._send(ClearSounds()):
             return  # The pipe is full: on the next turn.
         self._changes, self._is_cleared = player.changes, False
         self._program, self._start_s = player.program, player.start_s or 0.0
@@ -254,7 +235,7 @@ class SoundDesk:
 
     def _go_back(self, show_s: float) -> None:
         """Hand over again what sounds from `show_s` on: the show was sent back there."""
-        self._send(clear=1)
+        self._send(ClearSounds())
         self._cues = self._program.unrolled_cues()
         self._start_s = show_s
         self._advance()
@@ -282,35 +263,31 @@ class SoundDesk:
         self._names[self._number] = cue.sound
         self._names.pop(self._number - NAMES_MAX, None)
         return self._send(
-            sound={
-                "number": self._number,
-                "path": cue.sound,
-                "at_s": at_s,
-                "gain_ratio": 10.0 ** (style.gain_db / 20.0),
-                "is_bed": style.is_bed,
-                "is_looped": style.is_looped,
-                "duck_ratio": 10.0 ** (-style.duck_db / 20.0),
-                "speed_ratio": style.speed_ratio,
-                "until_s": min(end_s, self._program.duration_s, NEVER_S) if is_cut else NEVER_S,
-            }
+            PlaySound(
+                number=self._number,
+                path=cue.sound,
+                at_s=at_s,
+                gain_ratio=10.0 ** (style.gain_db / 20.0),
+                is_bed=style.is_bed,
+                is_looped=style.is_looped,
+                duck_ratio=10.0 ** (-style.duck_db / 20.0),
+                speed_ratio=style.speed_ratio,
+                until_s=min(end_s, self._program.duration_s) if is_cut else math.inf,
+            )
         )
 
     def _advance(self) -> None:
         """Go to the next sound of the show."""
         self._next = next(((start_s, cue) for start_s, cue in self._cues if cue.sound), None)
 
-    def _send(self, **command: object) -> bool:
-        """Send a command; False if the pipe is full."""
-        if self._child is None:
+    def _send(self, order: SoundOrder) -> bool:
+        """Send an order; False if the pipe is full."""
+        if self._child is None or self._child.offer(order):
             return True
-        try:
-            # A pipe takes up to 4096 bytes as a whole or not at all.
-            os.write(self._pipe_fd, json.dumps(command).encode() + b"\n")
-        except BlockingIOError:
+        if self._child.pipe.is_full:
             self._leg = None  # Told again on the next turn.
             return False
-        except BrokenPipeError:
-            self._lose("the process that plays sounds has ended")
+        self._lose("the process that plays sounds has ended")
         return True
 
     def _lose(self, reason: str) -> None:
@@ -320,41 +297,36 @@ class SoundDesk:
                 f"{reason}: the show goes on without sound, by the computer's clock"
             )
 
-    def _read(self, player: Player, now_ns: int) -> None:
-        with contextlib.suppress(BlockingIOError):
-            while data := os.read(self._reports_fd, READ_BYTES):
-                self._take_all(data, player, now_ns)
+    def _read(self, child: ChildProcess[SoundNews], player: Player, now_ns: int) -> None:
+        for news in child.receive():
+            self._take(news, player, now_ns)
+        if child.has_ended:
             self._lose("the process that plays sounds has ended")
 
-    def _take_all(self, data: bytes, player: Player | None, now_ns: int) -> None:
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        for line in lines:
-            self._take(json.loads(line), player, now_ns)
-
-    def _take(self, report: dict[str, Any], player: Player | None, now_ns: int) -> None:
-        match report:
-            case {"device": device, "driver": driver, "latency_s": latency_s}:
-                self.report.device, self.report.driver = device, driver
-                self.report.latency_s = latency_s
-            case {"no_device": text}:
-                self.problem = text
-            case {"begun": _}:
+    def _take(self, news: SoundNews, player: Player | None, now_ns: int) -> None:
+        match news:
+            case DeviceOpened():
+                self.report.device, self.report.driver = news.name, news.driver
+                self.report.latency_s = news.latency_s
+            case NoDevice():
+                self.problem = news.text
+            case SoundBegun():
                 self.report.begun += 1
-            case {"failed": number, "text": text}:
-                self._fail(self._names.get(number, "file"), text)
-            case {"lead": [instant_ns, show_s, rate]} if player is not None:
-                self._follow(player, Leg(instant_ns, show_s, rate), now_ns)
-            case {"wrong_ratio": ratio}:
+            case SoundFailed():
+                self._fail(self._names.get(news.number, "file"), news.text)
+            case Heard():
+                if player is not None:
+                    self._follow(player, Leg(news.instant_ns, news.show_s, news.rate), now_ns)
+            case WrongRate():
                 self.troubles.append(
-                    f"the sound device runs at {ratio:g} of its rate: the show does not follow it, "
-                    f"and its sounds are bent to fit. Use another device (lss-motion devices)"
+                    f"the sound device runs at {news.ratio:g} of its rate: the show does not "
+                    f"follow it, and its sounds are bent to fit. Use another device (lss-motion "
+                    f"devices)"
                 )
-            case {"lost": text}:
-                self._lose(text)
-            case {"dropouts": dropouts}:
-                self.report.dropouts = dropouts
-            case _:
-                pass
+            case DeviceLost():
+                self._lose(news.text)
+            case Dropouts():
+                self.report.dropouts = news.count
 
     def _follow(self, player: Player, leader: Leg, now_ns: int) -> None:
         # As it is written to the log, so that a replay computes the same.

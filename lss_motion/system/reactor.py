@@ -13,6 +13,7 @@ take the log from a player that still sends its last bytes.
 from __future__ import annotations
 
 import importlib
+import math
 import select
 import signal
 import socket
@@ -32,35 +33,30 @@ Message = TypeVar("Message")
 
 
 def wait_for(
-    readable: Collection[int] = (), left_s: float | None = None, *, writable: Collection[int] = ()
+    readable: Collection[int], left_s: float, *, writable: Collection[int] = ()
 ) -> list[int]:
-    """Wait until one of the file numbers is ready, for `left_s` at most; return those that are.
-
-    Without `left_s` it waits as long as it takes. A signal handler that raises ends the wait.
-    """
+    """Wait until one of the file numbers is ready, for `left_s` at most; return those that are."""
     if sys.platform == "win32" and not readable and not writable:
-        time.sleep(left_s or 0.0)  # noqa: TID251  (Windows refuses a select without sockets.)
+        time.sleep(left_s)  # noqa: TID251  (Windows refuses a select without sockets.)
         return []
-    can_read, can_write, _ = select.select(readable, writable, (), left_s)
+    timeout_s = None if left_s == math.inf else left_s
+    can_read, can_write, _ = select.select(readable, writable, (), timeout_s)
     return [*can_read, *can_write]
 
 
 def serve(
     pipe: TypedPipe[Message],
     obey: Callable[[Message], None],
-    turn: Callable[[], float | None] = lambda: None,
+    turn: Callable[[], float | None] = lambda: math.inf,
 ) -> None:
     """Call `obey` with each message, and `turn` before each wait, until the other end closes.
 
-    `turn` returns how long the next wait may take: None as long as it takes. Both may close
-    `pipe`, which ends this as well.
+    `turn` returns how long the next wait may take, in seconds; None: this is finished.
     """
-    left_s = turn()
-    while not pipe.has_ended:
+    while (left_s := turn()) is not None and not pipe.has_ended:
         wait_for([pipe.fileno()], left_s)
         for message in pipe.receive():
             obey(message)
-        left_s = turn()
 
 
 def begin() -> None:

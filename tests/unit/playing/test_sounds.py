@@ -110,20 +110,27 @@ def test_check_names_what_does_not_fit(show, tmp_path, capsys):
 
 
 SCRIPTED = """\
-import json, select, sys, time
-def report(**values):
-    print(json.dumps(values), flush=True)
-report(device="desk", driver="none", rate_hz=48000, latency_s=0.02)
-received = open({received!r}, "w")
-started_s = None
-for line in sys.stdin:
-    command = json.loads(line)
-    print(line.strip(), file=received, flush=True)
-    if "leg" in command:
-        start_ns, start_s = command["leg"][:2]
-        {on_leg}
-    if "alive" in command and time.monotonic_ns() > start_ns + 50_000_000:
-        {on_alive}
+import time
+import msgspec
+from lss_motion.system.sound_messages import *
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.reactor import serve
+
+def main(pipe, device):
+    typed = TypedPipe(pipe, SoundOrder)
+    report = typed.send
+    report(DeviceOpened("desk", "none", 0.02))
+    received = open({received!r}, "wb")
+    start_ns = 1 << 62
+    def obey(order):
+        nonlocal start_ns
+        received.write(msgspec.json.encode(order) + b"\\n")
+        received.flush()
+        if isinstance(order, SetLeg):
+            start_ns = order.leg.start_ns
+        if isinstance(order, StillPlaying) and time.monotonic_ns() > start_ns + 50_000_000:
+            {on_alive}
+    serve(typed, obey)
 """
 
 
@@ -132,19 +139,24 @@ def scripted(tmp_path, monkeypatch):
     """Return a function that replaces the process of the stream; it returns what that received."""
     pytest.importorskip("soundfile", exc_type=ImportError)
 
-    def replace(on_leg="pass", on_alive="pass"):
-        received, script = tmp_path / "received.txt", tmp_path / "process.py"
-        text = SCRIPTED.replace("started_s = None", "start_ns = 1 << 62")
-        script.write_text(text.format(received=str(received), on_leg=on_leg, on_alive=on_alive))
-        monkeypatch.setattr(
-            "lss_motion.playing.sounds.COMMAND", (sys.executable, "-P", str(script))
-        )
+    def replace(on_alive="pass"):
+        received = tmp_path / "received.txt"
+        text = SCRIPTED.format(received=str(received), on_alive=on_alive)
+        (tmp_path / "scripted_sounds.py").write_text(text)
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+        monkeypatch.setattr("lss_motion.playing.sounds.PROCESS", "scripted_sounds")
         return received
 
     return replace
 
 
-LOST = "report(lost='sound device desk has stopped')"
+def orders(received, kind):
+    """Return the orders of one kind that the process has received."""
+    found = [json.loads(line) for line in received.read_text().splitlines()]
+    return [order for order in found if order["type"] == kind]
+
+
+LOST = "report(DeviceLost('sound device desk has stopped'))"
 
 
 @pytest.mark.parametrize(("step", "code"), [("warn", 0), ("hold", 5)])
@@ -159,7 +171,7 @@ def test_a_device_that_vanishes_is_named_and_the_show_goes_on_or_ends(
 
 
 def test_a_device_at_a_wrong_rate_is_named_once(show, scripted):
-    scripted(on_alive="report(wrong_ratio=0.91)")
+    scripted(on_alive="report(WrongRate(0.91))")
     _, report = show()
     assert sum("runs at 0.91 of its rate" in text for text in report["warnings"]) >= 1
 
@@ -167,20 +179,19 @@ def test_a_device_at_a_wrong_rate_is_named_once(show, scripted):
 def test_the_stream_is_told_show_clock_sounds_and_end(show, scripted):
     received = scripted()
     code, report = show()
-    commands = [json.loads(line) for line in received.read_text().splitlines()]
-    legs = [command["leg"] for command in commands if "leg" in command]
-    [sound] = [command["sound"] for command in commands if "sound" in command]
+    leg = orders(received, "SetLeg")[0]["leg"]
+    [sound] = orders(received, "PlaySound")
     assert code == 0
-    assert legs[0][2:] == [1.0, 1.0, 0, 0.0]
+    assert [*leg.values()][2:] == [1.0, 1.0, 0, 0.0]
     assert (Path(sound["path"]).name, sound["at_s"], sound["is_bed"]) == ("music.wav", 0.0, True)
     assert sound["until_s"] == pytest.approx(report["planned_s"])
-    assert {"end": 1} in commands
+    assert orders(received, "EndSounds")
 
 
 def test_the_show_follows_what_is_heard_and_a_replay_of_its_log_sends_the_same(
     show, scripted, tmp_path, capsys
 ):
-    lead = "report(lead=[time.monotonic_ns(), (time.monotonic_ns()-start_ns)*1.0002e-9, 1.0002])"
+    lead = "report(Heard(time.monotonic_ns(), (time.monotonic_ns()-start_ns)*1.0002e-9, 1.0002))"
     scripted(on_alive=lead)
     log = tmp_path / "show.log"
     code, report = show("--log", str(log))
@@ -203,9 +214,8 @@ def test_a_leader_besides_the_device_is_named_and_each_sound_is_handed_over_once
     program, robot = nod(tmp_path)
     program = replace(program, cues=(*cues, Cue(at_s=0.2, say="hello")))
     result = perform(program, robot, sound=SoundChoice(leads=False))
-    commands = [json.loads(line) for line in received.read_text().splitlines()]
-    assert {"leads": False} in commands
-    starts = [command["sound"]["at_s"] for command in commands if "sound" in command]
+    assert orders(received, "SetLeads") == [{"type": "SetLeads", "leads": False}]
+    starts = [order["at_s"] for order in orders(received, "PlaySound")]
     assert starts == pytest.approx([0.1, 0.2, 0.3, 0.4])
     assert result.report.sound.not_played == []
 
@@ -220,7 +230,7 @@ def test_an_offset_that_a_person_found_by_ear_is_kept_and_used_in_the_next_show(
     monkeypatch.setattr(Inputs, "take", lambda self: (0, next(keys, "")))
     code, report = show("--robot", str(robot))
     assert (code, report["sound"]["offset_s"]) == (0, 0.02)
-    assert '{"offset_s": 0.02}' in received.read_text()
+    assert orders(received, "SetOffset")[-1]["offset_s"] == 0.02
     assert "the sounds stay at 0.02 s: kept in arm.learnt.yaml" in capsys.readouterr().out
     assert "sound_offset_s: 0.02\n" in (tmp_path / "arm.learnt.yaml").read_text()
     _, report = show("--robot", str(robot))
@@ -243,8 +253,9 @@ def test_a_show_that_is_sent_back_hands_its_sounds_over_again(tmp_path, scripted
     show.show_s = show.clock.show_s
     desk.turn(player, 260_000_000)
     desk.close()
-    kinds = [next(iter(json.loads(line))) for line in received.read_text().splitlines()]
-    assert [kind for kind in kinds if kind in ("sound", "clear")] == ["sound", "clear", "sound"]
+    kinds = [json.loads(line)["type"] for line in received.read_text().splitlines()]
+    kinds = [kind for kind in kinds if kind in ("PlaySound", "ClearSounds")]
+    assert kinds == ["PlaySound", "ClearSounds", "PlaySound"]
 
 
 def test_a_show_that_is_left_falls_silent_at_once_and_the_next_one_has_its_own_sounds(
@@ -269,6 +280,8 @@ def test_a_show_that_is_left_falls_silent_at_once_and_the_next_one_has_its_own_s
     desk.turn(player, 900_000_000)
     desk.close()
     lines = [json.loads(line) for line in received.read_text().splitlines()]
-    kinds = [kind for kind in (next(iter(line)) for line in lines) if kind != "alive"]
-    assert kinds[kinds.index("leg") :] == ["leg", "sound", "clear", "leg", "sound"]
-    assert [line["leg"][0] for line in lines if "leg" in line] == [0, 900_000_000]
+    kinds = [line["type"] for line in lines if line["type"] != "StillPlaying"]
+    expected = ["SetLeg", "PlaySound", "ClearSounds", "SetLeg", "PlaySound"]
+    assert kinds[kinds.index("SetLeg") :] == expected
+    legs = orders(received, "SetLeg")
+    assert [order["leg"]["start_ns"] for order in legs] == [0, 900_000_000]
