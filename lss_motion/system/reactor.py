@@ -54,9 +54,9 @@ def serve(
     `turn` returns how long the next wait may take, in seconds; None: this is finished.
     """
     while (left_s := turn()) is not None and not pipe.has_ended:
-        wait_for([pipe.fileno()], left_s)
-        for message in pipe.receive():
-            obey(message)
+        if wait_for([pipe.fileno()], left_s):
+            for message in pipe.receive():
+                obey(message)
 
 
 def begin() -> None:

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import ipaddress
 import math
-from typing import TYPE_CHECKING, Final, Literal, cast, get_args
+from typing import Final, Literal, cast, get_args
 
 from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.stage.timecode import packets
-from lss_motion.stage.timecode.timecode import CODED, FPS_25, read_rate, read_timecode
-
-if TYPE_CHECKING:
-    from lss_motion.stage.timecode.timecode import Rate
+from lss_motion.stage.timecode.timecode import CODED, FPS_25, Rate, read_rate, read_timecode
 
 FollowKind = Literal["ltc", "mtc", "artnet", "fpp"]
 SendKind = Literal["ltc", "mtc", "artnet", "fpp", "osc"]

@@ -1,12 +1,6 @@
-"""The process that reads timecode: `python -m lss_motion.stage.timecode.receive SPEC`.
+"""The process that reads timecode, as a `FollowSpec` says; it sends a `TimecodeNews`.
 
-SPEC is a `FollowSpec` as JSON. On standard output it writes one JSON object a line: operations
-`follow` as of `playing.remote.schema`, and
-
-    {"ready": text}     the source is open
-    {"failed": text}    it cannot be opened; the process ends
-
-It ends when standard input does. Sound and MIDI come in threads of their libraries, which the
+It ends when its pipe does. Sound and MIDI come in threads of their libraries, which the
 player must not have: here they only put what came into a queue, with its instant.
 """
 
@@ -14,29 +8,28 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import json
-import os
 import queue
-import select
 import socket
 import struct
-import sys
-import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import msgspec
+from msgspec import Struct
+
 from lss_motion.stage.timecode import chase, midi, packets
 from lss_motion.stage.timecode.chase import Chase, Style
-from lss_motion.stage.timecode.child import serve, write
 from lss_motion.stage.timecode.options import FollowSpec
 from lss_motion.stage.timecode.readers import ArtNetReader, FppReader, LtcReader, MtcReader
-from lss_motion.stage.timecode.timecode import RATES
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.reactor import wait_for
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lss_motion.stage.timecode.chase import Observation
+    from lss_motion.system.messages import MessagePipe
 
 TURN_S: Final = 0.02
 STYLES: Final[dict[str, Style]] = {
@@ -52,6 +45,37 @@ LOOK_S: Final = 1.0
 """A device that has vanished is looked for this often."""
 QUEUE_MAX: Final = 2000
 BLOCK_S: Final = 0.01
+
+
+class TimecodeOpened(Struct, frozen=True, tag=True):
+    """The source, or the receiver, is open; the text says which, for a person."""
+
+    text: str
+
+
+class TimecodeFailed(Struct, frozen=True, tag=True):
+    """It cannot be opened, or goes on no more; the process ends."""
+
+    text: str
+
+
+class TimecodeText(Struct, frozen=True, tag=True):
+    """What a person should know."""
+
+    text: str
+
+
+class TimecodeLeg(Struct, frozen=True, tag=True):
+    """Where the leader is: the fields of `playing.remote.schema.Follow`."""
+
+    instant_ns: int
+    show_s: float
+    rate: float
+    source: str
+    state: str
+
+
+TimecodeNews = TimecodeOpened | TimecodeFailed | TimecodeText | TimecodeLeg
 
 
 class SourceError(Exception):
@@ -219,7 +243,7 @@ class PacketSource:
         self.text = f"{what} from {', '.join(spec.allowed)}, port {port}"
 
     def wait(self, chased: Chase) -> Iterator[tuple[Observation, str]]:
-        if not select.select([self._socket], [], [], TURN_S)[0]:
+        if not wait_for([self._socket.fileno()], TURN_S):
             return
         for _ in range(PACKETS_A_TURN):
             try:
@@ -255,80 +279,44 @@ SOURCES: Final[dict[str, Any]] = {
 }
 
 
-def spec_text(spec: FollowSpec) -> str:
-    """Return the argument of this process for a source."""
-    return json.dumps(
-        {
-            "kind": spec.kind,
-            "name": spec.name,
-            "allowed": spec.allowed,
-            "rate": None if spec.rate is None else spec.rate.name,
-            "offset_s": spec.offset_s,
-            "freewheel_s": spec.freewheel_s,
-        }
-    )
-
-
-def read_spec(text: str) -> FollowSpec:
-    values = json.loads(text)
-    rate = values.pop("rate")
-    values["allowed"] = tuple(values["allowed"])
-    return FollowSpec(**values, rate=None if rate is None else RATES[rate])
-
-
-def run(argument: str, out_fd: int) -> None:
-    """Read until standard input ends."""
-    spec = read_spec(argument)
+def main(pipe: MessagePipe, words: str) -> int:
+    """Read until the pipe ends."""
+    spec = msgspec.json.decode(words, type=FollowSpec)
+    typed: TypedPipe[None] = TypedPipe(pipe, None)
     chased = Chase(STYLES[spec.kind], freewheel_s=spec.freewheel_s, offset_s=spec.offset_s)
     try:
         source: Source = SOURCES[spec.kind](spec, chased.say)
     except SourceError as failed:
-        write(out_fd, failed=str(failed))
-        return
-    write(out_fd, ready=source.text)
-    ended = threading.Event()
-    threading.Thread(target=_watch_input, args=(ended,), daemon=True).start()
+        typed.send(TimecodeFailed(str(failed)))
+        return 0
+    typed.send(TimecodeOpened(source.text))
     try:
-        while not ended.is_set():
+        while not typed.has_ended:
             for observation, name in source.wait(chased):
                 chased.take(observation, name)
             chased.advance(time.monotonic_ns())
-            _send(chased, out_fd)
+            _send(chased, typed)
+            if wait_for([typed.fileno()], 0.0):
+                typed.receive()
     except SourceError as failed:
-        write(out_fd, failed=str(failed))
-    except BrokenPipeError:
-        pass
+        typed.send(TimecodeFailed(str(failed)))
     finally:
         source.close()
+    return 0
 
 
-def _send(chased: Chase, out_fd: int) -> None:
-    """Write the legs and texts that the chase has made."""
+def _send(chased: Chase, typed: TypedPipe[None]) -> None:
+    """Send the legs and texts that the chase has made."""
     legs = chased.take_legs()
     for text in chased.take_texts():
-        write(out_fd, text=text)
+        typed.send(TimecodeText(text))
     for leg in legs:
-        write(
-            out_fd,
-            op="follow",
-            instant_ns=leg.instant_ns,
-            show_s=round(leg.show_s, 7),
-            rate=round(leg.rate, 8),
-            source=chased.source or "timecode",
-            state=chased.state.value,
+        typed.send(
+            TimecodeLeg(
+                instant_ns=leg.instant_ns,
+                show_s=round(leg.show_s, 7),
+                rate=round(leg.rate, 8),
+                source=chased.source or "timecode",
+                state=chased.state.value,
+            )
         )
-
-
-def _watch_input(ended: threading.Event) -> None:
-    with contextlib.suppress(OSError):
-        while os.read(0, 4096):
-            pass
-    ended.set()
-
-
-def main() -> int:
-    return serve(run)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

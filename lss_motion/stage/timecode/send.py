@@ -1,38 +1,35 @@
-"""The process that sends timecode: `python -m lss_motion.stage.timecode.send SPEC`.
+"""The process that sends timecode, as a `SendSpec` says; it is sent a `SendOrder`.
 
-SPEC is a `SendSpec` as JSON. It reads one JSON object a line from standard input:
-
-    {"leg": [start_ns, start_s, from_rate, to_rate, ramp_ns, trim_ratio]}   the show clock
-    {"end": 1}                                              the show is over
-
-and writes `{"ready": text}` or `{"failed": text}` to standard output. Nothing is sent before the
-first leg, and nothing after the end, or when standard input ends because the player was killed.
+It sends a `TimecodeNews` when it is open, or failed. Nothing is sent before the first leg, and
+nothing after the end, or when the pipe ends because the player was killed.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import math
-import os
-import select
 import socket
 import struct
-import sys
 import time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
+from msgspec import Struct
 
 from lss_motion.stage.timecode import midi, mtc, packets
-from lss_motion.stage.timecode.child import serve, write
 from lss_motion.stage.timecode.ltc import levels
 from lss_motion.stage.timecode.options import SendSpec
-from lss_motion.stage.timecode.receive import SourceError
-from lss_motion.stage.timecode.timecode import RATES, timecode_of
-from lss_motion.system.clock_leg import ClockLeg
+from lss_motion.stage.timecode.receive import SourceError, TimecodeFailed, TimecodeOpened
+from lss_motion.stage.timecode.timecode import timecode_of
+from lss_motion.system.clock_leg import ClockLeg  # noqa: TC001  (msgspec reads the type)
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.reactor import serve
 from lss_motion.system.real_time import prompt_waits
 from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from lss_motion.system.messages import MessagePipe
 
 WAIT_S: Final = 0.02
 RAMP_WAIT_S: Final = 0.005
@@ -48,7 +45,20 @@ JUMP_FRAMES: Final = 0.5
 """A show clock that is further away from what was sounded has jumped."""
 BEND_RATIO: Final = 0.02
 """What is nearer is made up by sounding faster or slower, by so much at most."""
-READ_BYTES: Final = 65536
+
+
+class SendLeg(Struct, frozen=True, tag=True):
+    """The show clock from now on; `show` names the show, if it is not empty."""
+
+    leg: ClockLeg
+    show: str = ""
+
+
+class EndSending(Struct, frozen=True, tag=True):
+    """The show is over."""
+
+
+SendOrder = SendLeg | EndSending
 
 
 class ShowNow:
@@ -60,15 +70,12 @@ class ShowNow:
         self._legs: tuple[ClockLeg, ...] = ()
         self.is_ended = False
 
-    def take(self, command: dict[str, Any]) -> None:
-        match command:
-            case {"leg": values, "show": name}:
-                self.name = name or self.name
-                self._legs = (*self._legs[-1:], ClockLeg(*values))
-            case {"end": _}:
-                self.is_ended = True
-            case _:
-                pass
+    def take(self, order: SendOrder) -> None:
+        if isinstance(order, EndSending):
+            self.is_ended = True
+            return
+        self.name = order.show or self.name
+        self._legs = (*self._legs[-1:], order.leg)
 
     def leg(self, at_ns: float) -> ClockLeg | None:
         """Return the leg at an instant; None: the show has not begun."""
@@ -331,52 +338,22 @@ def _padded(data: bytes) -> bytes:
     return data + b"\0" * (4 - len(data) % 4)
 
 
-def spec_text(spec: SendSpec) -> str:
-    """Return the argument of this process for a receiver."""
-    return json.dumps(
-        {
-            "kind": spec.kind,
-            "name": spec.name,
-            "port": spec.port,
-            "rate": spec.rate.name,
-            "offset_s": spec.offset_s,
-            "show": spec.show,
-        }
-    )
-
-
-def read_spec(text: str) -> SendSpec:
-    values = json.loads(text)
-    return SendSpec(**{**values, "rate": RATES[values["rate"]]})
-
-
-def run(argument: str, out_fd: int) -> None:
-    """Send until standard input ends, or says that the show is over."""
-    spec = read_spec(argument)
-    show, rest = ShowNow(spec.show), b""
+def main(pipe: MessagePipe, words: str) -> int:
+    """Send until the pipe ends, or the show is over."""
+    spec = msgspec.json.decode(words, type=SendSpec)
+    show = ShowNow(spec.show)
+    typed: TypedPipe[SendOrder] = TypedPipe(pipe, SendOrder)
     try:
         sender = SENDERS[spec.kind](spec, show)
     except SourceError as failed:
-        write(out_fd, failed=str(failed))
-        return
-    write(out_fd, ready=sender.text)
+        typed.send(TimecodeFailed(str(failed)))
+        return 0
+    typed.send(TimecodeOpened(sender.text))
+
+    def turn() -> float | None:
+        return None if show.is_ended else sender.turn(time.monotonic_ns())
+
     with prompt_waits():
-        while not show.is_ended:
-            wait_s = sender.turn(time.monotonic_ns())
-            if not select.select([0], [], [], wait_s)[0]:
-                continue
-            data = os.read(0, READ_BYTES)
-            if not data:
-                break
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                show.take(json.loads(line))
+        serve(typed, show.take, turn)
     sender.end()
-
-
-def main() -> int:
-    return serve(run)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return 0

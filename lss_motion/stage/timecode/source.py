@@ -6,14 +6,25 @@ holds the show whatever the leader does. `TimecodeOut.turn` is called on each tu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+import time
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import msgspec
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.timecode import receive, send
-from lss_motion.stage.timecode.child import Child
+from lss_motion.stage.timecode.receive import (
+    TimecodeFailed,
+    TimecodeLeg,
+    TimecodeNews,
+    TimecodeOpened,
+    TimecodeText,
+)
+from lss_motion.stage.timecode.send import EndSending, SendLeg
 from lss_motion.system.closing import Closing
+from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,7 +33,71 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.runner import Controls
     from lss_motion.stage.timecode.options import FollowSpec, SendSpec
+    from lss_motion.stage.timecode.send import SendOrder
     from lss_motion.system.clock_leg import ClockLeg
+
+OPEN_S: Final = 10.0
+"""The longest time that a device may take to open."""
+END_S: Final = 1.0
+
+
+class _TimecodeProcess(Closing):
+    """One process that reads or sends timecode. Only opening it waits."""
+
+    def __init__(self, module: str, spec: FollowSpec | SendSpec, *, waits: bool = True) -> None:
+        """Start it, and wait until it is open; `text` is empty if it failed, or is not yet."""
+        self.text = ""
+        """What was opened, for a person."""
+        self.problems: list[str] = []
+        """Why it failed, not yet taken by `take_problems`."""
+        self._has_failed = False
+        words = msgspec.json.encode(spec).decode()
+        child: ChildProcess[TimecodeNews]
+        child = ChildProcess(module, words, receives=TimecodeNews, is_quiet=True)
+        self._child: ChildProcess[TimecodeNews] | None = child
+        end_s = time.monotonic() + OPEN_S
+        while waits and not self.text and self._child is not None:
+            if time.monotonic() >= end_s:
+                self.problems.append(f"it does not open within {OPEN_S:g} s")
+                self.close()
+            self._note(child.receive_within(end_s - time.monotonic()))
+
+    def filenos(self) -> list[int]:
+        """Return what ends a wait."""
+        return [] if self._child is None else [self._child.fileno()]
+
+    def take(self) -> list[TimecodeNews]:
+        """Return what it has sent since the last call."""
+        return [] if self._child is None else self._note(self._child.receive())
+
+    def take_problems(self) -> list[str]:
+        """Return why it cannot go on, since the last call."""
+        problems, self.problems = self.problems, []
+        return problems
+
+    def send(self, order: SendOrder) -> bool:
+        """Send an order; False if it does not take it now."""
+        return self._child is None or self._child.offer(order) or not self._child.pipe.is_full
+
+    def close(self) -> None:
+        """End the process."""
+        child, self._child = self._child, None
+        if child is not None:
+            child.end(END_S)
+
+    def _note(self, arrived: list[TimecodeNews]) -> list[TimecodeNews]:
+        """Note what says whether it is open; return all of it."""
+        for news in arrived:
+            if isinstance(news, TimecodeOpened):
+                self.text = news.text
+            elif isinstance(news, TimecodeFailed):
+                self._has_failed = True
+                self.problems.append(news.text)
+        if self._child is not None and self._child.has_ended:
+            if not self._has_failed:
+                self.problems.append("its process has ended")
+            self.close()
+        return arrived
 
 
 class TimecodeSource(Closing):
@@ -30,47 +105,47 @@ class TimecodeSource(Closing):
 
     def __init__(self, spec: FollowSpec, *, waits: bool = True) -> None:
         """Open it; raises `InputError` if that fails. Without `waits` it opens later."""
-        self._child = Child(receive.__name__, receive.spec_text(spec), waits=waits)
-        if waits and not self._child.text:
-            raise InputError(f"--follow {spec.kind}: {'; '.join(self._child.problems)}")
+        self._process = _TimecodeProcess(receive.__name__, spec, waits=waits)
+        if waits and not self._process.text:
+            raise InputError(f"--follow {spec.kind}: {'; '.join(self._process.problems)}")
         self._texts: list[str] = []
         self._is_named = False
 
     @property
     def is_open(self) -> bool:
         """Whether timecode is read, or will be."""
-        return bool(self._child.filenos())
+        return bool(self._process.filenos())
 
     @property
     def has_opened(self) -> bool:
         """Whether it has been opened."""
-        return bool(self._child.text)
+        return bool(self._process.text)
 
     def filenos(self) -> list[int]:
         """Return what ends a wait."""
-        return self._child.filenos()
+        return self._process.filenos()
 
     def take(self) -> list[Follow]:
         """Return what came since the last call, oldest first. Never waits."""
         found = []
-        for values in self._child.take():
-            if "op" in values:
-                found.append(Follow(**values))
-            elif "text" in values:
-                self._texts.append(str(values["text"]))
+        for news in self._process.take():
+            if isinstance(news, TimecodeLeg):
+                found.append(Follow(**msgspec.structs.asdict(news)))
+            elif isinstance(news, TimecodeText):
+                self._texts.append(news.text)
         return found
 
     def take_texts(self) -> list[str]:
         """Return what a person should know, since the last call."""
-        problems = [f"no timecode is read any more: {one}" for one in self._child.take_problems()]
+        problems = [f"no timecode is read any more: {one}" for one in self._process.take_problems()]
         texts, self._texts = [*self._texts, *problems], []
-        if self._child.text and not self._is_named:
+        if self._process.text and not self._is_named:
             self._is_named = True
-            return [f"follows {self._child.text}", *texts]
+            return [f"follows {self._process.text}", *texts]
         return texts
 
     def close(self) -> None:
-        self._child.close()
+        self._process.close()
 
 
 class TimecodeOut(Closing):
@@ -78,16 +153,16 @@ class TimecodeOut(Closing):
 
     def __init__(self, spec: SendSpec) -> None:
         """Open the receiver; raises `InputError` if that fails."""
-        self._child = Child(send.__name__, send.spec_text(spec))
-        if not self._child.text:
-            raise InputError(f"--send {spec.kind}: {'; '.join(self._child.problems)}")
+        self._process = _TimecodeProcess(send.__name__, spec)
+        if not self._process.text:
+            raise InputError(f"--send {spec.kind}: {'; '.join(self._process.problems)}")
         self._leg: ClockLeg | None = None
         self._is_ended = False
 
     @property
     def text(self) -> str:
         """What is sent, for a person."""
-        return self._child.text
+        return self._process.text
 
     def turn(self, player: Player, now_ns: int) -> None:  # noqa: ARG002  (as the loop calls it)
         """Tell the process if the show clock has changed."""
@@ -95,20 +170,17 @@ class TimecodeOut(Closing):
         if show is None or self._is_ended:
             return
         if player.show_ended_ns is not None:
-            self._is_ended = self._child.send(end=1)
+            self._is_ended = self._process.send(EndSending())
         else:
             self.send_clock(show.clock.leg)
 
     def send_clock(self, leg: ClockLeg, show: str = "") -> None:
         """Send the clock of a show from now on; the same leg again changes nothing."""
-        if leg is self._leg:
-            return
-        values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
-        if self._child.send(leg=[*values, leg.trim_ratio], show=show):
+        if leg is not self._leg and self._process.send(SendLeg(leg, show)):
             self._leg = leg
 
     def close(self) -> None:
-        self._child.close()
+        self._process.close()
 
 
 class Legs(Protocol):

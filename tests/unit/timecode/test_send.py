@@ -12,6 +12,7 @@ from lss_motion.sound import device
 from lss_motion.stage.timecode import send
 from lss_motion.stage.timecode.options import read_send
 from lss_motion.stage.timecode.timecode import FPS_25
+from lss_motion.system.clock_leg import ClockLeg
 
 RATE_HZ = 48000
 BLOCK = 1024
@@ -42,7 +43,7 @@ def test_each_label_ends_when_the_show_is_there_though_first_blocks_are_stated_w
     monkeypatch.setattr(device, "chosen_device", lambda _: SimpleNamespace(name="", rate=RATE_HZ))
     show = send.ShowNow()
     start_ns = 500_000_000  # Of show time 0, on a clock that is 0 at the first block.
-    show.take({"leg": [start_ns - 10**9, -1.0, 1.0, 1.0, 0, 0.0], "show": ""})
+    show.take(send.SendLeg(ClockLeg(start_ns - 10**9, -1.0, 1.0, 1.0, 0)))
     send.LtcSender(read_send("ltc"), show)
     sound = []
     for number in range(round(4e9 / BLOCK_NS)):
