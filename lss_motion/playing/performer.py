@@ -1,29 +1,36 @@
 """Functions and sounds of a show, in a process of their own, so that they never delay a command.
 
-The player's process writes one JSON object a line to the standard input of that process
-(`playing.performer_process`) and never waits; a line that does not fit into the pipe is lost. It
-reads the reports: what is done, what failed, what was printed. Whatever way the show ends, no
-process is left: the whole process group is killed after the show.
+The player's process sends each cue to that process (`playing.performer_process`) and never waits;
+one that does not fit into the pipe is lost. It reads the news: what is done, what failed, what was
+printed. Whatever way the show ends, no process is left: the whole process group is killed after the
+show.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import select
-import signal
-import subprocess
-import sys
 import time
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
-from lss_motion.playing.performer_process import CLOSE_S, LOOK_S
+from lss_motion.playing.performer_process import (
+    CLOSE_S,
+    CueDone,
+    CueFailed,
+    Loaded,
+    LoadFunctions,
+    Loading,
+    PerformCue,
+    PerformerNews,
+    Printed,
+    SoundsPlaying,
+)
 from lss_motion.playing.player.events import CueReached, Warned
 from lss_motion.show.functions import function_problem
+from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
@@ -35,7 +42,8 @@ if TYPE_CHECKING:
 START_S: Final = 10.0
 """The longest time that importing the modules of the functions may take. Chosen: large libraries
 take a few seconds on a small computer."""
-READ_BYTES: Final = 65536
+HELD_MAX_BYTES: Final = 65536
+"""Cues that wait for a slow function: some hundreds."""
 PRINTED_MAX: Final = 10
 """So many of the last lines that functions and sounds have printed are reported."""
 LOST_MAX: Final = 1000
@@ -50,7 +58,7 @@ class Performer:
     """
 
     def __init__(self, cues: Collection[Cue]) -> None:
-        functions = list({(cue.run, cue.folder) for cue in cues if cue.run})
+        functions = tuple({(cue.run, cue.folder) for cue in cues if cue.run})
         self.lost: list[Cue] = []
         """The first cues that did not fit into the pipe, up to `LOST_MAX`."""
         self._lost_count = 0
@@ -62,22 +70,17 @@ class Performer:
         self._printed_count = 0
         self._playing = 0
         self._loading = ""
-        self._rest = b""
         self._is_ready, self._answer = False, ""
-        self._child = subprocess.Popen(  # noqa: S603  our own program
-            # -P: no module of the current folder is imported in place of an installed one.
-            [sys.executable, "-P", "-m", "lss_motion.playing.performer_process", str(os.getpid())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C ends the player only; this ends with its pipe.
+        guard_fd, self._guard_fd = os.pipe()
+        self._child: ChildProcess[PerformerNews] = ChildProcess(
+            *("lss_motion.playing.performer_process", str(os.getpid()), str(guard_fd)),
+            receives=PerformerNews,
+            inherits=[guard_fd],
+            starts_programs=True,
+            outbox_max_bytes=HELD_MAX_BYTES,
         )
-        assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        self._pipe_fd, self._reports_fd = self._child.stdin.fileno(), self._child.stdout.fileno()
-        os.set_blocking(self._reports_fd, False)
-        self._child.stdin.write(json.dumps(functions).encode() + b"\n")
-        self._child.stdin.flush()
-        os.set_blocking(self._pipe_fd, False)
+        os.close(guard_fd)
+        self._child.send(LoadFunctions(functions))
         if problem := self._problem():
             self._end(0.0)
             raise InputError(problem)
@@ -86,21 +89,17 @@ class Performer:
         """Start a function or a sound; never waits."""
         if not cue.run and not cue.sound:
             return
-        request = {"run": cue.run, "folder": cue.folder, "sound": cue.sound, "at_s": cue.at_s}
-        line = json.dumps(request).encode() + b"\n"
-        try:
-            # A pipe takes up to 4096 bytes as a whole or not at all.
-            os.write(self._pipe_fd, line)
-        except (BlockingIOError, BrokenPipeError):
-            self._lost_count += 1
-            if len(self.lost) < LOST_MAX:
-                self.lost.append(cue)
-        else:
+        if self._child.send(PerformCue(cue.run, cue.folder, cue.sound, cue.at_s)):
             self.started.append(cue)
+            return
+        self._lost_count += 1
+        if len(self.lost) < LOST_MAX:
+            self.lost.append(cue)
 
     def take_warnings(self) -> list[str]:
         """Return what went wrong since the last call; never waits."""
-        self._read()
+        for news in self._child.receive():
+            self._take(news)
         texts, self.warnings = list(self.warnings), deque()
         return texts
 
@@ -137,41 +136,28 @@ class Performer:
                     f"run: {self._loading!r} cannot be used: importing its module takes more than "
                     f"{START_S:g} s"
                 )
-            readable, _, _ = select.select([self._reports_fd], [], [], left_s)
-            if readable and not self._read():
+            for news in self._child.receive_within(left_s):
+                self._take(news)
+            if self._child.has_ended:
                 name = f" while {self._loading!r} was imported" if self._loading else ""
                 return f"the process for functions and sounds ended{name}"
         return self._answer
 
-    def _read(self) -> bool:
-        """Take what the process has reported, so that its pipe is never full; False at its end."""
-        if self._child.stdout is None or self._child.stdout.closed:
-            return False
-        with contextlib.suppress(BlockingIOError):
-            while data := os.read(self._reports_fd, READ_BYTES):
-                *lines, self._rest = (self._rest + data).split(b"\n")
-                for line in lines:
-                    self._take(json.loads(line))
-            return False
-        return True
-
-    def _take(self, report: dict[str, Any]) -> None:
-        match report:
-            case {"done": True}:
+    def _take(self, news: PerformerNews) -> None:
+        match news:
+            case CueDone():
                 self.started.popleft()
-            case {"failed": text}:
-                self.warnings.append(text)
-            case {"printed": text}:
-                self._printed.append(text)
+            case CueFailed():
+                self.warnings.append(news.text)
+            case Printed():
+                self._printed.append(news.text)
                 self._printed_count += 1
-            case {"sounds": count}:
-                self._playing = count
-            case {"loading": name}:
-                self._loading = name
-            case {"problem": text}:
-                self._answer = text
-            case _:
-                self._is_ready = True
+            case SoundsPlaying():
+                self._playing = news.count
+            case Loading():
+                self._loading = news.run
+            case Loaded():
+                self._is_ready, self._answer = not news.problem, news.problem
 
     def __enter__(self) -> Performer:
         return self
@@ -186,28 +172,11 @@ class Performer:
 
     def _end(self, wait_s: float) -> None:
         """Wait for the process, then kill whatever is left of its group."""
-        assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        with contextlib.suppress(OSError):
-            self._child.stdin.close()
-        end_s = time.monotonic() + wait_s
-        while self._child.poll() is None and time.monotonic() < end_s:
-            select.select([self._reports_fd], [], [], LOOK_S)
-            if not self._read():
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    self._child.wait(max(end_s - time.monotonic(), 0.0))
-        if code := self._child.poll():
+        os.close(self._guard_fd)
+        if code := self._child.end(wait_s, self._take):
             self.warnings.append(
                 f"the process for functions and sounds ended with exit code {code}"
             )
-        if hasattr(os, "killpg"):
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._child.pid, signal.SIGKILL)
-        else:
-            self._child.kill()
-        self._child.wait()
-        self._read()
-        self._child.stdout.close()
 
 
 def _named(cue: Cue) -> str:

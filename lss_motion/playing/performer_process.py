@@ -1,18 +1,10 @@
 """The process that calls the functions of a show and plays its sounds.
 
-It reads one JSON value a line from standard input: first the functions, then each cue that is
-reached. It carries out one line after the other, and reports with one JSON object a line on
-standard output:
-
-    {"loading": "effects:fog"}     a module is being imported
-    {"ready": true}                all functions are there; or {"problem": text}, and it ends
-    {"done": true}                 a cue is done; that of a sound is done when the sound has begun
-    {"failed": text}               a function raised, a sound could not be played
-    {"printed": text}              a line that a function or a sound has printed
-    {"sounds": 2}                  so many sounds are playing
+It is sent the functions first (`LoadFunctions`), then each cue that is reached (`PerformCue`). It
+carries out one after the other, and sends a `PerformerNews`.
 
 Whatever functions print is read here, so that it never reaches the screen of the show. A second
-process, forked before any function is loaded, waits for the end of standard input: if the player
+process, forked before any function is loaded, waits for the end of a pipe of its own: if the player
 was killed, it ends this process and all that it has started.
 """
 
@@ -20,9 +12,8 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import json
+import math
 import os
-import select
 import shutil
 import signal
 import subprocess
@@ -32,10 +23,16 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.reactor import serve, wait_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from lss_motion.system.messages import MessagePipe
 
 SOUND_PLAYERS: Final = (
     ("pw-play",),
@@ -77,26 +74,80 @@ def load_function(run: str, folder: str) -> Callable[[float], Any]:
     return checked
 
 
-class Reports:
-    """Writes reports to the player. A printed line that finds no room is dropped."""
+class LoadFunctions(Struct, frozen=True, tag=True):
+    """The functions of the show, each with the folder of its module."""
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
+    functions: tuple[tuple[str, str], ...]
+
+
+class PerformCue(Struct, frozen=True, tag=True):
+    """Call a function of the show, or play a sound."""
+
+    run: str
+    folder: str
+    sound: str
+    at_s: float
+
+
+PerformerOrder = LoadFunctions | PerformCue
+
+
+class Loading(Struct, frozen=True, tag=True):
+    """A module is being imported."""
+
+    run: str
+
+
+class Loaded(Struct, frozen=True, tag=True):
+    """All functions are there; or why not: then the process ends."""
+
+    problem: str = ""
+
+
+class CueDone(Struct, frozen=True, tag=True):
+    """A cue is done; that of a sound is done when the sound has begun."""
+
+
+class CueFailed(Struct, frozen=True, tag=True):
+    """A function raised, or a sound could not be played."""
+
+    text: str
+
+
+class Printed(Struct, frozen=True, tag=True):
+    """A line that a function or a sound has printed."""
+
+    text: str
+
+
+class SoundsPlaying(Struct, frozen=True, tag=True):
+    """So many sounds are playing."""
+
+    count: int
+
+
+PerformerNews = Loading | Loaded | CueDone | CueFailed | Printed | SoundsPlaying
+
+
+class Reports:
+    """Sends news to the player, from any thread. A printed line that finds no room is dropped."""
+
+    def __init__(self, pipe: TypedPipe[PerformerOrder]) -> None:
+        self._pipe = pipe
         self._lock = threading.Lock()
 
-    def send(self, **report: object) -> None:
-        line = json.dumps(report).encode() + b"\n"
-        with self._lock, contextlib.suppress(BrokenPipeError):
-            if "printed" in report and not select.select([], [self._fd], [], 0.0)[1]:
+    def send(self, news: PerformerNews) -> None:
+        with self._lock:
+            if isinstance(news, Printed) and not wait_for((), 0.0, writable=[self._pipe.fileno()]):
                 return
-            os.write(self._fd, line)  # Up to 4096 bytes are written as a whole.
+            self._pipe.send(news)
 
     def copy_lines(self, stream: Iterable[str]) -> str:
         """Report every line of `stream` until it ends; return the last one."""
         last = ""
         for line in stream:
             last = line.strip()[:LINE_MAX_CHARS] or last
-            self.send(printed=line.rstrip()[:LINE_MAX_CHARS])
+            self.send(Printed(line.rstrip()[:LINE_MAX_CHARS]))
         return last
 
 
@@ -122,7 +173,7 @@ class Sounds:
                 errors="replace",
             )
         except OSError as error:
-            self._reports.send(failed=f"sound {path}: {error.strerror}")
+            self._reports.send(CueFailed(f"sound {path}: {error.strerror}"))
             return
         self._count(1)
         thread = threading.Thread(target=self._wait, args=(process, path), daemon=True)
@@ -139,51 +190,64 @@ class Sounds:
         if code := process.wait():
             name, program = Path(path).name, Path(str(process.args[0])).name  # type: ignore[index]
             why = f": {last}" if last else ""
-            self._reports.send(failed=f"sound {name}: {program} ended with exit code {code}{why}")
+            text = f"sound {name}: {program} ended with exit code {code}{why}"
+            self._reports.send(CueFailed(text))
         self._count(-1)
 
     def _count(self, change: int) -> None:
         self._playing += change
-        self._reports.send(sounds=self._playing)
+        self._reports.send(SoundsPlaying(self._playing))
 
 
-def main() -> int:
-    """Carry out the lines of standard input until it ends, then wait for the sounds."""
-    player_pid = int(sys.argv[1])
-    _guard(player_pid)
-    reports = Reports(os.dup(1))
-    requests = os.fdopen(os.dup(0), encoding="utf-8")
+def main(pipe: MessagePipe, player_pid: str, guard_fd: str) -> int:
+    """Carry out the orders until the pipe ends, then wait for the sounds."""
+    _guard(int(player_pid), int(guard_fd))
+    typed: TypedPipe[PerformerOrder] = TypedPipe(pipe, PerformerOrder)
+    reports = Reports(typed)
     printed = _captured(reports)
     # Only sources are run: a person has agreed to what stands in them, not in stored bytecode.
     sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
-    functions = {}
+    stage = _Functions(reports)
     try:
-        for run, folder in json.loads(requests.readline()):
-            reports.send(loading=run)
-            functions[run, folder] = load_function(run, folder)
+        serve(typed, stage.obey)
     except InputError as error:
-        reports.send(problem=str(error))
+        reports.send(Loaded(str(error)))
         return error.exit_code
-    reports.send(ready=True)
-    sounds = Sounds(reports)
-    for line in requests:
-        request = json.loads(line)
-        if request["sound"]:
-            sounds.play(request["sound"])
-        if request["run"]:
-            try:
-                functions[request["run"], request["folder"]](request["at_s"])
-            except (Exception, SystemExit) as error:  # noqa: BLE001  a function may raise anything
-                where = f"run {request['run']} at {request['at_s']:g} s"
-                reports.send(failed=f"{where}: {type(error).__name__}: {error}"[:LINE_MAX_CHARS])
-        reports.send(done=True)
-    sounds.wait()
+    stage.sounds.wait()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os.dup2(0, 1)
     os.dup2(0, 2)
     printed.join(LOOK_S)  # A program that a function has started may still hold the pipe.
     return 0
+
+
+class _Functions:
+    """The functions and sounds of a show; carries out one order after the other."""
+
+    def __init__(self, reports: Reports) -> None:
+        self.sounds = Sounds(reports)
+        self._reports = reports
+        self._functions: dict[tuple[str, str], Callable[[float], Any]] = {}
+
+    def obey(self, order: PerformerOrder) -> None:
+        """Carry out an order; raises `InputError` for a function that cannot be loaded."""
+        if isinstance(order, LoadFunctions):
+            for run, folder in order.functions:
+                self._reports.send(Loading(run))
+                self._functions[run, folder] = load_function(run, folder)
+            self._reports.send(Loaded())
+            return
+        if order.sound:
+            self.sounds.play(order.sound)
+        if order.run:
+            try:
+                self._functions[order.run, order.folder](order.at_s)
+            except (Exception, SystemExit) as error:  # noqa: BLE001  a function may raise anything
+                where = f"run {order.run} at {order.at_s:g} s"
+                text = f"{where}: {type(error).__name__}: {error}"[:LINE_MAX_CHARS]
+                self._reports.send(CueFailed(text))
+        self._reports.send(CueDone())
 
 
 def _captured(reports: Reports) -> threading.Thread:
@@ -208,23 +272,26 @@ def _printing_to(fd: int) -> TextIO:
     return os.fdopen(fd, "w", 1, encoding="utf-8", errors="replace", closefd=False)
 
 
-def _guard(player_pid: int) -> None:
+def _guard(player_pid: int, guard_fd: int) -> None:
     """Fork the process that ends all others of this group when the player is gone.
 
-    A function may hang in code that lets no thread run, so a thread could not do this.
+    A function may hang in code that lets no thread run, so a thread could not do this. `guard_fd`
+    is the end of a pipe, of which the player holds the other one.
     """
-    if not hasattr(os, "fork") or os.fork():
+    if not hasattr(os, "fork"):
+        return
+    if os.fork():
+        os.close(guard_fd)
         return
     with contextlib.suppress(BaseException):
-        os.closerange(1, 64)
+        os.closerange(0, guard_fd)
+        os.closerange(guard_fd + 1, 64)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
-        poll = select.poll()
-        poll.register(0, 0)
-        poll.poll()  # Standard input hangs up: the player has closed it, or was killed.
+        wait_for([guard_fd], math.inf)  # The player has closed its end, or was killed.
         end_s = time.monotonic() + 2.0 * CLOSE_S
         while _is_alive(player_pid) and time.monotonic() < end_s:
-            select.select([], [], [], LOOK_S)
+            wait_for((), LOOK_S)
     os.killpg(0, signal.SIGKILL)
 
 
@@ -234,7 +301,3 @@ def _is_alive(pid: int) -> bool:
     except OSError:
         return False
     return True
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -226,7 +226,6 @@ class TypedPipe(Generic[Received]):
         """Return what has arrived, oldest first; what cannot be decoded is dropped."""
         if self.has_ended:
             return []
-        self.pipe.flush()
         try:
             arrived = self.pipe.receive()
         except (PipeClosedError, OSError):

@@ -124,7 +124,8 @@ class ChildProcess(Closing, Generic[Received]):
         return self._typed.send_object(value)
 
     def receive(self) -> list[Received]:
-        """Return what has arrived, oldest first."""
+        """Return what has arrived, oldest first; send what is kept."""
+        self.pipe.flush()
         return self._typed.receive()
 
     def receive_within(self, left_s: float) -> list[Received]:

@@ -77,7 +77,9 @@ def _own_end(fileno: str) -> socket.socket:
     """Return this end of the pipe. On Windows, standard input describes it."""
     if sys.platform == "win32":
         return socket.fromshare(sys.stdin.buffer.read())
-    return socket.socket(fileno=int(fileno))
+    end = socket.socket(fileno=int(fileno))
+    end.set_inheritable(False)  # For programs that are started here.
+    return end
 
 
 def _do_nothing(_number: int, _frame: FrameType | None) -> None:
