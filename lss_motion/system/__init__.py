@@ -7,6 +7,7 @@
 | `reactor.py`   | the one call that waits; a helper's loop         | clocks, helpers             |
 | `clock.py`     | the computer's clock, and virtual time           | `playing`, `sim`            |
 | `clock_leg.py` | show time as a function of the run clock         | `playing`, `sound`          |
+| `sound_messages.py` | what the process that plays sounds is told  | `playing`, `sound`          |
 | `port.py`      | serial ports: list, open, reopen                 | `playing`, `sim`, `cli`     |
 | `real_time.py` | priority, memory and timers of the system        | `playing`, `sim.pty`        |
 | `signals.py`   | signals that end a program, at any instant       | `cli`, `playing`, `sim`     |
