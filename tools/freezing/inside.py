@@ -100,8 +100,8 @@ def planner_in_process() -> Iterator[None]:
     """Let the planner of a walk plan here, and always take `PLANNING_S`."""
     from local_planner import LocalPlanner
 
-    from lss_motion.walking import process
-    from lss_motion.walking.planner import WalkPlanner
+    from lss_motion.playing.walking import process
+    from lss_motion.playing.walking.planner import WalkPlanner
 
     class InProcess(LocalPlanner):
         planning_s = PLANNING_S
