@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence as Rows
 
     from lss_motion.planning.program.model import Program
-    from lss_motion.playing.player.stage_player import StagePlayer
+    from lss_motion.playing.player.player import Player
 
 JOINTS: Final = tuple(f"j{index}" for index in range(6))
 NS_PER_MS: Final = 1_000_000
@@ -87,7 +87,7 @@ class Changer:
     def on_event(self, event: object) -> None:
         self._began = self._began or isinstance(event, ShowBegan)
 
-    def act(self, player: StagePlayer, now_ns: int) -> None:
+    def act(self, player: Player, now_ns: int) -> None:
         if self._began:
             self._began = False
             if self._triggered_ns is not None:

@@ -74,6 +74,7 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
     from lss_motion.planning import shows
     from lss_motion.playing.connection import with_port
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.replay import replay
     from lss_motion.playing.stored_limits import with_limits
     from lss_motion.robot.load import load_robot
@@ -90,9 +91,10 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
         is_following=played.get("is_following", False),
         read_robot=lambda path: with_limits(load_robot(path), limits),
     )
+    robot = with_port(show.robot, played.get("port"))  # A simulated robot is asked for less.
     player = Player(
-        show.program,
-        with_port(show.robot, played.get("port")),  # A simulated robot is asked for less.
+        Repertoire.single(show.program, robot),
+        robot,
         has_feedback=played.get("has_feedback", True),
         start_s=played.get("start_s"),
         must_ask=played.get("must_ask", False),

@@ -25,6 +25,7 @@ from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.player import Player
+from lss_motion.playing.player.repertoire import Repertoire
 from lss_motion.playing.player.transactions import Item
 from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.constants import BROADCAST_ID
@@ -127,7 +128,8 @@ class Live:
         trajectory = plan(Sequence(name="move", keyframes=keyframes, timing=timing), self.robot)
         program = compile(trajectory, self.robot)
         # It holds between moves; what the robot file wants at the end comes at the end.
-        player = Player(program, replace(self.robot, end="hold"))
+        robot = replace(self.robot, end="hold")
+        player = Player(Repertoire.single(program, robot), robot)
         self._guarded(player, controls)
         for name in targets:
             self._limp.pop(name, None)

@@ -20,6 +20,7 @@ from lss_motion.playing.connection import connect, is_simulated
 from lss_motion.playing.player.events import Warned
 from lss_motion.playing.player.player import Player
 from lss_motion.playing.player.query_choice import BY_NEED
+from lss_motion.playing.player.repertoire import Repertoire
 from lss_motion.playing.runner import run
 from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.playing.truth import TruthRecorder
@@ -106,8 +107,16 @@ def perform(  # noqa: PLR0913  (the options of one run)
     clock = make_clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, **worse)
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
-    options = {"is_open": is_open, "is_forced": is_forced, "has_feedback": has_feedback}
-    player = Player(program, robot, start_s=start_s, must_ask=must_ask, pace=pace, **options)
+    player = Player(
+        Repertoire.single(program, robot),
+        robot,
+        start_s=start_s,
+        has_feedback=has_feedback,
+        must_ask=must_ask,
+        is_open=is_open,
+        is_forced=is_forced,
+        pace=pace,
+    )
     warnings: list[str] = []
     note, desk = Noting(observer.on_event, partial(_keep_warning, warnings)), None
     recorder = TruthRecorder(player.robot, connection.simulated, trajectory) if simulated else None

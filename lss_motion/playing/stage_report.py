@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.playing.player.events import Event, Faulted, ShowSummary
-    from lss_motion.playing.player.stage_player import StagePlayer
+    from lss_motion.playing.player.player import Player
     from lss_motion.playing.report import BusReport
     from lss_motion.playing.sound_choice import SoundReport
 
@@ -108,7 +108,7 @@ class Ledger:
 
     def report(
         self,
-        player: StagePlayer,
+        player: Player,
         *,
         run_s: float,
         is_simulated: bool,

@@ -1,7 +1,7 @@
 """One run of many shows on a robot: as `perform`, but it goes on until it is stopped.
 
 `perform_stage` opens the ports, checks the servos and sets them up once for all shows, plays what
-`Observer.controls` tell the player to (`StagePlayer.change_to`), and holds all joints meanwhile.
+`Observer.controls` tell the player to (`Player.change_to`), and holds all joints meanwhile.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from lss_motion.playing.perform import (
     make_clock,
 )
 from lss_motion.playing.player.events import Warned
+from lss_motion.playing.player.player import Player
 from lss_motion.playing.player.query_choice import ON_STAGE
 from lss_motion.playing.player.repertoire import Repertoire
-from lss_motion.playing.player.stage_player import StagePlayer
 from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.playing.stage_report import Ledger
 from lss_motion.system.real_time import real_time
@@ -48,7 +48,7 @@ class StageResult(Struct, frozen=True, kw_only=True):
     """A run that has ended: its report, its player, and the simulated buses if there are any."""
 
     report: StageReport
-    player: StagePlayer
+    player: Player
     error: LssMotionError | None = None
     """Why the run could not begin or go on."""
     simulated: Mapping[str, SimBus] = field(default_factory=dict)
@@ -98,7 +98,7 @@ def perform_stage(  # noqa: PLR0913  (the options of one run)
     )
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
     options = {"has_feedback": has_feedback, "is_forced": is_forced, "must_ask": must_ask}
-    player = StagePlayer(repertoire, robot, first=opening, pace=pace, **options)
+    player = Player(repertoire, robot, first=opening, pace=pace, **options)
     ledger, desk = Ledger(), None
     note = Noting(observer.on_event, ledger.note)
     try:

@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, LssMotionError, PlanningError
 from lss_motion.files.source import counted, duration_text, known_names
 from lss_motion.planning import shows
+from lss_motion.playing.player.added_show import why_not_beside
 from lss_motion.playing.player.following import require_can_follow
-from lss_motion.playing.player.stage_player import why_not_beside
 from lss_motion.stage.model import Kind
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Couples the director and the player, in the process of the player and in virtual time.
 
-`run_stage` plays a stage until it is stopped. It makes one run of the player after the other
+`StageRun.play` plays a stage until it is stopped. It makes one run of the player after the other
 (`playing.stage_run.perform_stage`): a run ends with a fault, or when a resting figure goes limp,
 and the director says when the next one begins. Between two runs nothing is open and nothing moves.
 
@@ -29,7 +29,6 @@ from lss_motion.playing.player.events import (
     ShowOver,
     Warned,
 )
-from lss_motion.playing.player.stage_player import StagePlayer
 from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.playing.stage_run import perform_stage
 from lss_motion.robot.on_fault import ENDING, Cause
@@ -126,26 +125,6 @@ class StageEnd(Struct, frozen=True, kw_only=True):
     last: StageResult | None = None
 
 
-def run_stage(
-    planned: Planned,
-    options: Options | None = None,
-    *,
-    steerer: Steerer | None = None,
-    note: Callable[[Record], None] | None = None,
-    tap: Callable[[int], Tap] | None = None,
-    on_result: Callable[[StageResult, int], None] | None = None,
-) -> StageEnd:
-    """Play a stage until it is stopped; return how it ended.
-
-    `note` gets what is to be kept, as records for JSON; `on_result` each run of the player with the
-    instant at which it began; `tap` gives another copy of all bytes.
-    """
-    run = StageRun(planned, options or Options(), steerer=steerer, note=note, tap=tap)
-    end = run.play(on_result)
-    run.note_counts(is_last=True)
-    return end
-
-
 class StageRun:
     """All runs of one stage; the observer and the controls of the present one."""
 
@@ -230,7 +209,7 @@ class StageRun:
         if differs:
             return must_restart(f"another value of {', '.join(differs)}")
         try:
-            if isinstance(player, StagePlayer):
+            if player is not None:
                 player.repertoire.renew(programs)
         except InputError as refused:
             return must_restart(refused.reason)
@@ -359,7 +338,6 @@ class StageRun:
 
     def act(self, player: Player, now_ns: int) -> None:
         """Give the director what has come, and do what it orders."""
-        assert isinstance(player, StagePlayer)
         self.now_ns = self._offset_ns + now_ns
         self._turn(player, now_ns)
         if self._is_over and not player.is_finished and player.outcome is None:
@@ -393,7 +371,7 @@ class StageRun:
         if self._steerer is not None:
             self._steerer.on_turn(player, now_ns)
 
-    def _turn(self, player: StagePlayer | None, now_ns: int) -> None:
+    def _turn(self, player: Player | None, now_ns: int) -> None:
         director = self.director
         if self._steerer is not None:
             self._steerer.act(player, now_ns)
@@ -438,7 +416,7 @@ class StageRun:
         begins = self.options.begins or datetime(2026, 1, 1, 12, 0, tzinfo=UTC)
         return begins + timedelta(microseconds=self.now_ns // 1000)
 
-    def _read(self, player: StagePlayer) -> None:
+    def _read(self, player: Player) -> None:
         """Pass on the readings of sensors, and each second the temperatures and currents."""
         for name, value in player.watched.take_readings():
             self.director.signal(
@@ -472,7 +450,7 @@ class StageRun:
 
     # ---- orders
 
-    def _obey(self, player: StagePlayer | None, now_ns: int = 0) -> None:
+    def _obey(self, player: Player | None, now_ns: int = 0) -> None:
         """Do what the director has ordered; without a player only what needs none."""
         while (order := self.director.next_order()) is not None:
             match order:
@@ -488,7 +466,7 @@ class StageRun:
                 case _:
                     self._records.note_order(order, self.now_ns)
 
-    def _play(self, order: orders.Play, player: StagePlayer | None, now_ns: int) -> None:
+    def _play(self, order: orders.Play, player: Player | None, now_ns: int) -> None:
         if player is None:
             self.director.refused(order.number, "the run has ended", self.now_ns)
             return
@@ -502,7 +480,7 @@ class StageRun:
         except InputError as refused:
             self.director.refused(order.number, refused.reason, self.now_ns)
 
-    def _change(self, player: StagePlayer, order: orders.Play | None, now_ns: int) -> None:
+    def _change(self, player: Player, order: orders.Play | None, now_ns: int) -> None:
         """Play another show in place of all, or none; those that had not begun are over at once."""
         program = None if order is None else player.repertoire.programs[order.show]
         start_s = None if order is None else order.start_s
@@ -522,7 +500,7 @@ class StageRun:
         for number, reached_s in self._playing.leave(order):
             self.director.ended(number, "left", reached_s, self.now_ns)
 
-    def _set_rate(self, player: StagePlayer, now_ns: int) -> None:
+    def _set_rate(self, player: Player, now_ns: int) -> None:
         """Set the rate that budgets and the operator allow together."""
         if self._is_led:
             return

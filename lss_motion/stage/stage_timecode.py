@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.planning.program.model import Program
-    from lss_motion.playing.player.stage_player import StagePlayer
+    from lss_motion.playing.player.player import Player
     from lss_motion.playing.remote.schema import Follow
     from lss_motion.stage.director import Director
     from lss_motion.stage.model import TimecodeInput
@@ -172,7 +172,7 @@ class StageTimecode:
 
     # ---- the show that follows
 
-    def prepare(self, director: Director, player: StagePlayer, now_ns: int, player_ns: int) -> None:
+    def prepare(self, director: Director, player: Player, now_ns: int, player_ns: int) -> None:
         """Let the next show wait at its beginning, when it is time to go there."""
         if now_ns < self._prepared_ns + PREPARE_NS or player.outcome is not None:
             return
@@ -185,7 +185,7 @@ class StageTimecode:
             director.get_ready(cue, now_ns)
 
     def begin(
-        self, order: Play, program: Program, player: StagePlayer, now_ns: int, offset_ns: int
+        self, order: Play, program: Program, player: Player, now_ns: int, offset_ns: int
     ) -> float | None:
         """Return the show time at which a show is to join the timecode.
 
@@ -221,7 +221,7 @@ class StageTimecode:
         """Let nothing follow any more."""
         self.following, self.number = None, 0
 
-    def steer(self, player: StagePlayer, now_ns: int, *, is_paused: bool) -> None:
+    def steer(self, player: Player, now_ns: int, *, is_paused: bool) -> None:
         """Keep the show in step; before, while the last show is left, nothing is to be done."""
         if self.following is not None and not player.is_leaving and player.outcome is None:
             self.following.set_paused(is_paused=is_paused)

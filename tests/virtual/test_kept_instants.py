@@ -88,8 +88,8 @@ def check_state(state):
 def check(player, now_ns, seen):
     for tracker in player.trackers.values():
         check_tracker(tracker)
-    streamer = player._streamer
-    if streamer is None or player._dialogue is not None:
+    streamer = player._machine.streamer
+    if streamer is None or player._machine.dialogue is not None:
         return
     seen["resends"] += check_streamer(streamer, now_ns)
     seen["turns"] += 1

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.playing.player.events import MarkPassed, PhaseEntered, Warned
-from lss_motion.playing.player.player import COUNT_IN_NS
+from lss_motion.playing.player.session import COUNT_IN_NS
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim import bus as sim_bus

@@ -13,13 +13,12 @@ All instants are integer nanoseconds on the driver's run clock, and must not dec
 calls with the same arguments give the same bytes, so a log can be replayed (`playing.replay`).
 
     file            what it is                                          who calls it
-    player          state machine of a show, `Player`                   api, runtime, cli, walking
-    stage_player    many programs in one run, `StagePlayer`             stage_run
-    added_show      a program beside another one, on its own joints     stage_player
-    repertoire      the programs of such a run, and what they need      stage_player
-    show_summary    how one of its shows went, in a few numbers         events, runtime
-    stalls          whether this process was held up                    player
-    session         the servos during one show, shared by all phases    player
+    player          the calls of the loop and of those that steer       run, live, walking, cli
+    phases          the phases of a run, and every change of them       player
+    present_show    what is played, and how it went                     phases
+    added_show      what is played beside it, on other joints           phases
+    repertoire      the programs of a run, and what they need           player
+    session         the servos during one run, shared by all phases     phases
     preflight       the dialogue before anything moves, asked twice     session, maintenance, cli
     checks          what the servos answered, compared with the files   session, preflight, cli
     handshake       settings, restore, recovery                         session, faults, maintenance
@@ -41,7 +40,6 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     query_tracker   queries in flight on one bus                        polling, transactions
     unasked         what arrives on a bus beyond its queries            session, monitor
     serial_line     one line: when it is free, what came in             all that send
-    stalls          delays of this process when a move was due          player
     settings_watch  servos that may have lost their settings        polling
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player

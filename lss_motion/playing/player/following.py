@@ -100,9 +100,13 @@ class FollowRule(Struct, frozen=True, kw_only=True):
 class Followed(Protocol):
     """What `Following` needs of a player."""
 
-    phase: Phase
-    show: Streamer | None
     robot: Robot
+
+    @property
+    def phase(self) -> Phase: ...
+
+    @property
+    def show(self) -> Streamer | None: ...
 
     @property
     def program(self) -> Program: ...

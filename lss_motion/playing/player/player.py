@@ -1,73 +1,80 @@
-"""State machine of a show, from the first query to the last byte; without port, thread or clock.
+"""Plays the programs of a repertoire, from the first query to the last byte; no port, no clock.
 
     data_to_send(leaves_ns)          returns the bytes that must be written now, per bus
     receive_data(bus, data, now_ns)  takes the bytes that came from a bus
     next_wakeup_ns()                 returns when `data_to_send` must be called at the latest
     next_event()                     returns what happened, oldest first; None: there is no more
 
-The phases (`events.Phase`): connect (check the servos), ready (wait for a person), prepare (session
-settings), approach (move to the start), show, and in any case restore (the settings) and done (the
-safe state is the last that is sent). A person may send the show elsewhere: from approach or show
-to seek, which brakes, and to the approach of another place. From these three, a fault or a stall of
-this program may lead to recover, and from there through prepare and approach back to the show; or
-to stop, which brakes. `stage_player` adds standing, between the shows of a run with many.
+The run of one show ends with it. In a run of many the servos are checked and set up once, and stay
+so; between two shows a program without moves holds all joints, and the servos are polled, corrected
+and watched as in a show:
 
-In every phase the player has one activity: a dialogue (`handshake`), a streamer, or it waits.
-`session` holds what the phases share, `faults` decides about faults, `StallDetector` finds stalls.
+    change_to(program, now_ns)   plays another program in place of the present one
+    add(program, now_ns)         plays another program beside it, on joints that it does not move
+    end_added(name, now_ns)      ends a program that was added
+    stop(now_ns)                 brakes, restores and ends
+
+What follows what is decided in `phases`; here are the calls of the loop and of those that steer.
+`StallDetector` finds that this process was held up.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections import deque
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
-from msgspec.structs import replace
-
-from lss_motion.errors import InputError, LostPortError, LssMotionError
+from lss_motion.errors import InputError, LostPortError
+from lss_motion.files.source import known_names
 from lss_motion.planning.program.verify import driven
-from lss_motion.playing.player.events import Phase, PhaseEntered, Warned
-from lss_motion.playing.player.faults import FaultHandler, Verdict
-from lss_motion.playing.player.handshake import Preparation, SettingsDialogue
-from lss_motion.playing.player.preflight import Preflight
+from lss_motion.playing.player.approach import approach_s
+from lss_motion.playing.player.cues import SensorWatch
+from lss_motion.playing.player.events import Phase, Warned
+from lss_motion.playing.player.faults import Verdict
+from lss_motion.playing.player.phases import DRIVING, ENDING, PLAYING, PhaseMachine
+from lss_motion.playing.player.present_show import Start
 from lss_motion.playing.player.query_choice import BY_NEED
-from lss_motion.playing.player.session import COUNT_IN_NS, Arrival, Session
+from lss_motion.playing.player.session import Session
 from lss_motion.playing.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
-from lss_motion.playing.player.stalls import GAP_NS, StallDetector, stall_text
-from lss_motion.units import NS_PER_MS, ns_from_s
+from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from lss_motion.errors import LssMotionError
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.program.splice import Extension
     from lss_motion.playing.player.events import Event, Faulted
-    from lss_motion.playing.player.handshake import Answers
+    from lss_motion.playing.player.phases import Outcome
     from lss_motion.playing.player.query_choice import Pace
+    from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.player.show_clock import Leg
     from lss_motion.playing.player.streamer import Streamer
-    from lss_motion.playing.player.transactions import Dialogue
     from lss_motion.robot.model import Robot
-
-    Outcome = Literal["finished", "stopped", "fault"]
 
 
 IDLE_NS: Final = 20 * NS_PER_MS
 """The player is called at least this often: a person may press a key, or telemetry be due."""
 RATE_LEAST: Final = 0.01
 """A lower rate is a pause: a minute of show would take more than an hour."""
-PLAYING: Final = (Phase.SHOW, Phase.STANDING)
-DRIVING: Final = (*PLAYING, Phase.APPROACH, Phase.SEEK)
+GAP_NS: Final = NS_PER_S // 4
+"""A shorter delay is no stall. Chosen: four times the delay at which a move counts as missed
+(`quantize.LATEST_ARRIVAL_S`), and longer than any wait on a busy host that was measured."""
+NAMED_MAX: Final = 10
+"""Number of delays that are reported. On a host that is too slow, every move would be one."""
+STALL_REASON: Final = (
+    "stopped (Ctrl-Z), asleep, or without processor time (lss-motion doctor, --real-time)"
+)
 
 
 class Player:
-    """Plays one program on one robot."""
+    """Plays the programs of a repertoire on one robot, one after the other."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (the options of one run)
         self,
-        program: Program,
+        repertoire: Repertoire,
         robot: Robot,
         *,
+        first: Program | None = None,
         has_feedback: bool = True,
         start_s: float | None = None,
         must_ask: bool = False,
@@ -75,53 +82,32 @@ class Player:
         is_forced: bool = False,
         pace: Pace | None = BY_NEED,
     ) -> None:
-        """Play `program`; while `is_open` the show does not end there but waits for extensions.
+        """Begin with `first`, or the only program; None: all joints hold where they are.
 
-        With `must_ask`, nothing moves before `go`. `is_forced`: play without feedback also where
-        servos store higher limits than their joints have. `pace`: how often angles are queried;
-        None: as often as the lines allow.
+        While `is_open` the show does not end but waits for extensions. With `must_ask`, nothing
+        moves before `go`. `is_forced`: play without feedback also where servos store higher limits
+        than their joints have. `pace`: how often angles are queried; None: as often as the lines
+        allow.
         """
-        self.program = program
-        self.start_s = start_s
-        """Show time from which the show is played; None: from its beginning."""
-        self.robot = robot = driven(robot, program)
-        self.phase = Phase.CONNECT
-        self.outcome: Outcome | None = None
-        self.error: LssMotionError | None = None
-        """Why the show could not begin or go on, where no joint is the cause."""
-        self.show: Streamer | None = None
-        """The show itself, once it has begun; before that `moving` is its approach."""
-        self.show_ended_ns: int | None = None
-        self.changes = 0
-        """How often another program has taken the place of the one before it."""
-        self._show_phase = Phase.SHOW
-        """Phase in which the present program is played."""
+        if first is not None:
+            repertoire.require(first)
+        needs, only_s = repertoire.needs(first), None if repertoire.only is None else start_s
+        self.repertoire = repertoire
+        self.robot = robot = driven(robot, needs)
         options = {"has_feedback": has_feedback, "is_forced": is_forced}
-        self._session = Session(program, robot, start_s=start_s, pace=pace, **options)
-        self.lines = self._session.lines
-        self.trackers = self._session.trackers
-        self.unasked = self._session.unasked
-        self._faults, self._stalls = FaultHandler(self._session), StallDetector()
-        self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
-        self._must_ask = must_ask
-        self._is_open = self._was_open = is_open
-        self._is_held = False
-        """Whether the show that is to begin stands before its start until `run_from`."""
-        self._rate = 1.0
-        """The rate that a person set; a fault may reduce it further."""
-        self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
-        self._streamer: Streamer | None = None
-        self._now_ns = self._approaches = 0
-        self._preparation = Preparation()
-        self._has_set = False
-        """Whether orders may have changed settings of the servos."""
-        self._has_moved, self._stops, self.idle_ns = False, 0, IDLE_NS
-        self._ended_ns: int | None = None
-        """When the show had ended but for its goal tolerances."""
-        self._seek_s: float | None = None
-        """Show time from which the show goes on once the robot stands."""
-        self._goal_ns: int | None = None
-        """When the time of a joint to come within its goal tolerance is over."""
+        session = Session(needs, robot, start_s=only_s, pace=pace, **options)
+        self.watched = SensorWatch(robot.sensors[name] for name in repertoire.watched)
+        """The sensors of the repertoire that a caller watches."""
+        session.watched = self.watched
+        self.lines = session.lines
+        self.trackers = session.trackers
+        self.unasked = session.unasked
+        self._session = session
+        self._machine = PhaseMachine(
+            repertoire, session, first=first, start_s=start_s, must_ask=must_ask, is_open=is_open
+        )
+        self._present, self._added = self._machine.present, self._machine.added
+        self._stalls, self._stops, self.idle_ns = StallDetector(), 0, IDLE_NS
         self._wakes_ns: list[int] = []
         """Instants at which a caller must be called, a heap."""
 
@@ -132,129 +118,167 @@ class Player:
 
         `leaves_ns` is the instant at which the bytes will leave, shortly after the call.
         """
-        before_ns, self._now_ns = self._now_ns, leaves_ns
+        before_ns, self._machine.now_ns = self._machine.now_ns, leaves_ns
         if leaves_ns - before_ns >= GAP_NS:
             self._note_stall(leaves_ns)
-        while self._step(leaves_ns):
+        while self._machine.step(leaves_ns):
             pass
         return {name: line.take() for name, line in self.lines.items() if line.out}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         """Take bytes of a bus. No bytes of any kind raise."""
         for reply, ended_ns in self.lines[bus].receive(data, now_ns):
-            if self._dialogue is not None:
-                self._dialogue.receive(bus, reply, now_ns)
-            elif self._streamer is not None and self._session.has_feedback:
-                self._streamer.receive(bus, reply, ended_ns, now_ns)
+            if self._machine.dialogue is not None:
+                self._machine.dialogue.receive(bus, reply, now_ns)
+            elif self._machine.streamer is not None and self._session.has_feedback:
+                self._machine.streamer.receive(bus, reply, ended_ns, now_ns)
             else:
                 self.trackers[bus].receive(reply, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         """Return when `data_to_send` must be called at the latest; None when the run is over."""
         wakeup_ns = None
-        if self.phase is not Phase.DONE:
-            wakeup_ns = self._now_ns + self.idle_ns
-            for due_ns in self._wakeups_ns():
+        if self._machine.phase is not Phase.DONE:
+            now_ns = self._machine.now_ns
+            while self._wakes_ns and self._wakes_ns[0] <= now_ns:
+                heapq.heappop(self._wakes_ns)
+            wakeup_ns = now_ns + self.idle_ns
+            for due_ns in (*self._wakes_ns[:1], *self._machine.wakeups_ns()):
                 if due_ns is not None and due_ns < wakeup_ns:
-                    wakeup_ns = due_ns if due_ns > self._now_ns else self._now_ns
+                    wakeup_ns = due_ns if due_ns > now_ns else now_ns
         self._stalls.wakeup_ns = wakeup_ns
         return wakeup_ns
 
     def reads_ns(self, bus: str) -> int | None:
         """Return until when bytes of a bus may wait to be handed over; None: they may not."""
-        is_streaming = self._dialogue is None and self._streamer is not None
-        return self.trackers[bus].reads_ns(self._now_ns) if is_streaming else None
+        is_streaming = self._machine.dialogue is None and self._machine.streamer is not None
+        return self.trackers[bus].reads_ns(self._machine.now_ns) if is_streaming else None
 
     def is_due(self, leaves_ns: int) -> bool:
         """Return whether a move must leave by then, before answers are used, which takes time."""
-        due_ns = None if self._streamer is None else self._streamer.due_ns()
+        due_ns = None if self._machine.streamer is None else self._machine.streamer.due_ns()
         return due_ns is not None and due_ns <= leaves_ns
 
     def next_event(self) -> Event | None:
-        return self._events.popleft() if self._events else None
+        return self._machine.events.popleft() if self._machine.events else None
 
     def safe_bytes(self) -> Mapping[str, bytes]:
         """Return the last bytes for each bus if the run ends now; none if it only sent queries."""
-        if not self._has_set:
-            return {}
-        is_limp = self.robot.end == "limp" and self.outcome == "finished"
-        return self._session.safe_bytes(is_limp=is_limp)
-
-    def _wakeups_ns(self) -> list[int | None]:
-        while self._wakes_ns and self._wakes_ns[0] <= self._now_ns:
-            heapq.heappop(self._wakes_ns)
-        wakeups_ns: list[int | None] = [*self._wakes_ns[:1]]
-        if self._dialogue is not None:
-            wakeups_ns.append(self._dialogue.next_wakeup_ns())
-        elif self._streamer is not None:
-            wakeups_ns.append(self._streamer.next_wakeup_ns(self._now_ns))
-        if self.phase in DRIVING and self._dialogue is None:
-            wakeups_ns += self._faults.escalation.wakeups_ns()
-        if self.phase in PLAYING:
-            agenda_ns = self._session.agenda.wakeup_ns(self.show, self.lines, self._now_ns)
-            wakeups_ns += (agenda_ns, self._goal_ns)
-        elif self.phase is Phase.RECOVER and self._faults.recovery is not None:
-            wakeups_ns.append(self._faults.recovery.give_up_ns)
-        return wakeups_ns
+        return self._machine.safe_bytes()
 
     def _note_stall(self, now_ns: int) -> None:
         """Brake if a move was due long ago: this program was held up; then recover or end."""
         gap_ns = self._stalls.gap_ns(now_ns)
-        streamer = self._streamer if self._dialogue is None else None
+        streamer = self._machine.streamer if self._machine.dialogue is None else None
         due_ns = None if streamer is None else streamer.due_ns()
         if streamer is None or due_ns is None or now_ns - due_ns < GAP_NS:
-            if gap_ns and self.phase in DRIVING and (text := self._stalls.warning(gap_ns)):
-                self._events.append(Warned(text))
-            if self.phase is Phase.RECOVER:
-                self._faults.extend_recovery(gap_ns)
+            if gap_ns and self._machine.phase in DRIVING and (text := self._stalls.warning(gap_ns)):
+                self._machine.events.append(Warned(text))
+            if self._machine.phase is Phase.RECOVER:
+                self._machine.faults.extend_recovery(gap_ns)
             return
         streamer.halt(due_ns, now_ns)
-        if self.phase not in DRIVING:
-            self._faults.extend_recovery(now_ns - due_ns)
+        if self._machine.phase not in DRIVING:
+            self._machine.faults.extend_recovery(now_ns - due_ns)
             return
         show_s = None if self.show is None else self.show.show_s(due_ns)
-        match self._faults.stall(stall_text(now_ns - due_ns, show_s), now_ns):
+        match self._machine.faults.stall(_stall_text(now_ns - due_ns, show_s), now_ns):
             case Verdict.RECOVER:
-                self._recover(now_ns)
+                self._machine.recover(now_ns)
             case _:
-                self._end("fault", now_ns)
+                self._machine.end("fault", now_ns)
 
     # ---- state of the run
 
     @property
+    def phase(self) -> Phase:
+        return self._machine.phase
+
+    @property
+    def outcome(self) -> Outcome | None:
+        return self._machine.outcome
+
+    @property
+    def error(self) -> LssMotionError | None:
+        """Why the show could not begin or go on, where no joint is the cause."""
+        return self._machine.error
+
+    @property
+    def show_ended_ns(self) -> int | None:
+        """When the show, if there was one, was over."""
+        return self._machine.show_ended_ns
+
+    @property
     def is_finished(self) -> bool:
-        return self.phase is Phase.DONE
+        return self._machine.phase is Phase.DONE
+
+    @property
+    def program(self) -> Program:
+        """The present program with all joints of the run; at first what all programs need."""
+        return self._present.program
+
+    @property
+    def start_s(self) -> float | None:
+        """Show time from which the present show is played; None: from its beginning."""
+        return self._present.start_s
+
+    @property
+    def show(self) -> Streamer | None:
+        """The show itself, once it has begun; before that `moving` is its approach."""
+        return self._present.streamer
 
     @property
     def moving(self) -> Streamer | None:
-        return self.show or self._streamer
+        return self.show or self._machine.streamer
+
+    @property
+    def changes(self) -> int:
+        """How often another program has taken the place of the one before it."""
+        return self._present.changes
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether another program takes the place of the present one."""
+        return self._present.next is not None
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """The names of the programs that are played beside the present one, or will be."""
+        return self._added.names
 
     @property
     def is_paused(self) -> bool:
         """Whether a person has paused the show."""
-        return self._rate == 0.0
+        return self._machine.rate == 0.0
 
     @property
     def faults(self) -> list[Faulted]:
         """The faults so far, each with the highest step that was taken about it."""
-        return self._faults.escalation.faults
+        return self._machine.faults.escalation.faults
 
     def is_due_within(self, span_ns: int, now_ns: int) -> bool:
         """Return whether the show has a move to send that soon."""
         due_ns = None if self.show is None else self.show.quiet_ns(now_ns)
         return due_ns is not None and due_ns < now_ns + span_ns
 
-    @property
-    def is_leaving(self) -> bool:
-        """Whether another program takes the place of the present one; only on a stage."""
-        return False
+    def show_s(self, now_ns: int) -> float:
+        """Return the show time of the present show; 0 before it has begun."""
+        return 0.0 if self.show is None else self.show.show_s(now_ns)
+
+    def way_s(self, program: Program, show_s: float | None, now_ns: int) -> float:
+        """Return about how long the way to a show time of a program takes, without braking.
+
+        None: to its beginning.
+        """
+        to_deg = self._session.start_of(program, show_s)
+        return approach_s(self.robot, to_deg | self._machine.pose_deg(now_ns), to_deg)
 
     # ---- commands of a person
 
     def go(self) -> None:
         """Begin to move, if the player waits for that in `Phase.READY`."""
-        if self.phase is Phase.READY:
-            self._prepare()
+        if self._machine.phase is Phase.READY:
+            self._machine.prepare()
 
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the rate of the show to `rate`: up to 1; below `RATE_LEAST` it is a pause.
@@ -262,8 +286,8 @@ class Player:
         Outside of the show the rate is kept for when the show goes on.
         """
         self._note_stall(now_ns)  # First: the new rate would hide the move that was due.
-        self._rate = 0.0 if rate < RATE_LEAST else min(rate, 1.0)
-        self._apply_rate(now_ns)
+        self._machine.rate = 0.0 if rate < RATE_LEAST else min(rate, 1.0)
+        self._machine.apply_rate(now_ns)
 
     def follow(
         self,
@@ -276,7 +300,7 @@ class Player:
 
         None, and nothing happens, while no show plays at a steady rate.
         """
-        if self.show is None or self.phase is not Phase.SHOW:
+        if self.show is None or self._machine.phase is not Phase.SHOW:
             return None
         return self.show.clock.follow(leader, now_ns, trim_max_ratio, closing_s)
 
@@ -285,8 +309,8 @@ class Player:
 
         Also before the approach: then the show waits when it has come to its start.
         """
-        self._rate, self._is_held = 0.0, self.show is None
-        if self.show is not None and self.phase is Phase.SHOW:
+        self._machine.rate, self._present.is_held = 0.0, self.show is None
+        if self.show is not None and self._machine.phase is Phase.SHOW:
             self.show.hold_before_start(now_ns)
 
     def run_from(self, show_s: float, now_ns: int) -> None:
@@ -295,8 +319,8 @@ class Player:
         At most at its first instant: until then nothing moves.
         """
         self._note_stall(now_ns)
-        if self.show is not None and self.phase is Phase.SHOW:
-            self._rate = 1.0
+        if self.show is not None and self._machine.phase is Phase.SHOW:
+            self._machine.rate = 1.0
             self.show.run_from(show_s, now_ns)
 
     def seek(self, place: float | str, now_ns: int) -> None:
@@ -305,45 +329,86 @@ class Player:
         A paused show stands there until it is resumed. Raises `InputError` for a place that is not
         in the show, and where the run cannot seek: a walk, or a run that recovers or ends.
         """
+        if self._present.phase is Phase.STANDING or self.is_leaving:
+            raise InputError("no show is played that could go to another place")
         show_s = self.program.instant_of(place)
-        if self._was_open:
+        if self._present.was_open:
             raise InputError("a walk has no times to go to")
-        if self.phase in (Phase.RECOVER, Phase.STOP, Phase.RESTORE, Phase.DONE):
-            raise InputError(f"the show cannot go to another place now, it is {self.phase.value}")
+        self._refuse_at_end("the show cannot go to another place now, it")
         self._note_stall(now_ns)
-        self._seek_s = show_s
-        self._leave(now_ns)
+        self._machine.seek_s = show_s
+        self._machine.leave(now_ns)
 
-    def _leave(self, now_ns: int) -> None:
-        """Brake, to go on elsewhere once the robot stands."""
-        if self._streamer is not None and self.phase in (Phase.APPROACH, *PLAYING):
-            self._brake(now_ns)
-            self._enter(Phase.SEEK)
-        elif self.phase is Phase.APPROACH:
-            self._dialogue = None
-            self._enter(Phase.SEEK)
+    def change_to(
+        self, program: Program | None, now_ns: int, *, start_s: float | None = None
+    ) -> None:
+        """Play another program in place of the present one, from `start_s` on; None: only hold.
+
+        What plays brakes; if it rests, the way to the new start begins at once. Raises `InputError`
+        for a program that the run was not prepared for, and while it recovers or ends.
+        """
+        if program is not None:
+            self.repertoire.require(program)
+            start_s = None if start_s is None else program.instant_of(start_s)
+        self._refuse_at_end("no other show can begin now, the run")
+        self._note_stall(now_ns)
+        self._present.next, self._machine.seek_s = Start(program, start_s), None
+        self._present.is_held = False
+        joints = set() if program is None else set(program.start_deg)
+        in_the_way = [one for one in self._added.shows if one.joints & joints]
+        self._machine.events += self._added.leave(in_the_way, now_ns)
+        is_resting = self._machine.streamer is not None and self._machine.streamer.is_resting(
+            now_ns
+        )
+        if is_resting and not in_the_way and self._machine.phase in (*PLAYING, Phase.APPROACH):
+            self._machine.go_on(now_ns)
+        else:
+            self._machine.leave(now_ns)
+
+    def add(self, program: Program, now_ns: int, *, start_s: float | None = None) -> None:
+        """Play a program beside the present one, with a show clock of its own.
+
+        While another program takes the place of the present one, it begins after that. Raises
+        `InputError` if its joints are in use, the lines have no room, or as `change_to`.
+        """
+        self.repertoire.require(program)
+        self._refuse_at_end("no show can be added now, the run")
+        self._added.require(program)
+        start_s = None if start_s is None else program.instant_of(start_s)
+        self._note_stall(now_ns)
+        self._added.add(program, start_s)
+        self._machine.begin_added(now_ns)
+
+    def end_added(self, name: str, now_ns: int) -> None:
+        """Brake a program that was added; its joints stay there. Raises `InputError`."""
+        if name not in self.added:
+            raise InputError(f"no show {name!r} was added; {known_names(name, self.added)}")
+        self._note_stall(now_ns)
+        self._machine.events += self._added.end(name, now_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """End the run as one that was played to its end, so that it ends as the robot file says.
+
+        What plays brakes. The joints of a robot with `end: limp` are limp then.
+        """
+        if self._machine.outcome is None and self._machine.phase is not Phase.DONE:
+            self._machine.end("finished", now_ns)
+
+    def _refuse_at_end(self, what: str) -> None:
+        if self._machine.phase in ENDING:
+            raise InputError(f"{what} is {self._machine.phase.value}")
 
     def wake_at(self, instant_ns: int) -> None:
         """Let `next_wakeup_ns` be no later than `instant_ns`, for who acts at that instant."""
         heapq.heappush(self._wakes_ns, instant_ns)
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
-        """Go on with `extension` from its splice on; False if it is too late or no show plays.
-
-        `program` keeps the moves that it had at the start.
-        """
-        show = self.show if self.phase is Phase.SHOW else None
-        if show is None or not show.extend(extension, now_ns):
-            return False
-        end_s, use = extension.duration_s, extension.line_use
-        self.program = replace(self.program, duration_s=end_s, line_use=use)
-        return True
+        """Go on with `extension` from its splice on; False if it is too late or no show plays."""
+        return self._machine.phase is Phase.SHOW and self._present.extend(extension, now_ns)
 
     def close(self) -> None:
         """Accept no more extensions: the show ends where its program does."""
-        self._is_open = False
-        if self.show is not None:
-            self.show.close()
+        self._present.close()
 
     def stop(self, now_ns: int) -> None:
         """Brake within the limits and hold; then restore and end. The second call is `abort`.
@@ -352,349 +417,89 @@ class Player:
         just ended by itself, the first call lets it go on restoring.
         """
         self._stops += 1
-        if self.phase is Phase.SHOW and self._was_open:
-            self.outcome = self.outcome or "stopped"
+        if self._machine.phase is Phase.SHOW and self._present.was_open:
+            self._machine.outcome = self._machine.outcome or "stopped"
             self.close()
             if self._stops > 1:
                 self.abort(now_ns)
-        elif self.phase in (Phase.STOP, Phase.RESTORE):
+        elif self._machine.phase in (Phase.STOP, Phase.RESTORE):
             if self._stops > 1:
                 self.abort(now_ns)
-        elif self.phase is not Phase.DONE:
-            self._end("stopped", now_ns)
+        elif self._machine.phase is not Phase.DONE:
+            self._machine.end("stopped", now_ns)
 
     def abort(self, now_ns: int) -> None:
         """End at once: only the safe state is sent; settings are not given back."""
-        self.outcome = self.outcome or "stopped"
-        if self._has_set and (text := self._session.unrestored_text()):
-            self._events.append(Warned(text))
-        self._finish(now_ns)
+        self._machine.outcome = self._machine.outcome or "stopped"
+        if self._machine.has_set and (text := self._session.unrestored_text()):
+            self._machine.events.append(Warned(text))
+        self._machine.finish(now_ns)
 
     def end_show(self, now_ns: int) -> None:
         """Note that the show, if there was one, is over; the first call counts."""
-        if self.show is not None and self.show_ended_ns is None:
-            self.show_ended_ns = now_ns
+        self._machine.end_show(now_ns)
 
     def lose_sound(self, text: str, now_ns: int) -> None:
         """Note that a sound cannot be played; end the show if `on_fault` requires it."""
-        is_over = self._faults.lose_sound(text) is Verdict.END
-        if is_over and self.phase not in (Phase.STOP, Phase.RESTORE, Phase.DONE):
-            self._end("fault", now_ns)
-        self._report_faults()
+        is_over = self._machine.faults.lose_sound(text) is Verdict.END
+        if is_over and self._machine.phase not in (Phase.STOP, Phase.RESTORE, Phase.DONE):
+            self._machine.end("fault", now_ns)
+        self._machine.report_faults()
 
     # ---- calls of the owner of the ports
 
     def waits_for_port(self, bus: str) -> bool:
         """Return whether a port that is lost now should be opened again if it comes back."""
-        is_under_way = self._has_moved and self.phase not in (Phase.RESTORE, Phase.DONE)
-        return is_under_way and self._faults.is_resumable(bus)
+        is_under_way = self._machine.has_moved and self._machine.phase not in (
+            Phase.RESTORE,
+            Phase.DONE,
+        )
+        return is_under_way and self._machine.faults.is_resumable(bus)
 
     def port_lost(self, bus: str, reason: str, now_ns: int) -> None:
         """Brake on the other buses, and wait for this one or end, as `on_fault` requires."""
-        verdict = self._faults.lose_port(bus, reason, now_ns)
+        verdict = self._machine.faults.lose_port(bus, reason, now_ns)
         if verdict is Verdict.END:
-            self.error = LostPortError(reason, url=self.robot.buses[bus].port)
-            self._end("fault", now_ns)
-        elif self.phase is not Phase.STOP:
-            self._recover(now_ns)
+            self._machine.error = LostPortError(reason, url=self.robot.buses[bus].port)
+            self._machine.end("fault", now_ns)
+        elif self._machine.phase is not Phase.STOP:
+            self._machine.recover(now_ns)
 
     def port_found(self, bus: str) -> None:
         """Go on with a port that was lost."""
-        self._faults.find_port(bus)
+        self._machine.faults.find_port(bus)
 
-    # ---- one step, in any phase
 
-    def _step(self, now_ns: int) -> bool:
-        """Do what is due in the present phase; return whether more may be due at once."""
-        if self.phase in (Phase.DONE, Phase.READY):
-            return False
-        if self.phase is Phase.RECOVER and self._faults.is_over(now_ns):
-            answers = {} if self._dialogue is None else self._dialogue.answers
-            self.error = self._faults.give_up(answers, now_ns)
-            self._end("fault", now_ns)
-            return True
-        if self._dialogue is not None:
-            self._dialogue.advance(now_ns)
-            self._report_faults()
-            if not self._dialogue.is_finished:
-                return False
-            self._after_dialogue(now_ns)
-            return True
-        self._advance_streamer(now_ns)
-        if self.phase in DRIVING and self._streamer is not None and self._judge_faults(now_ns):
-            return True
-        if not self._has_streamed(now_ns):
-            return False
-        self._after_streamer(now_ns)
-        return True
+def _stall_text(gap_ns: int, show_s: float | None) -> str:
+    """Return the text of the fault after a stall in which moves were due."""
+    where = "" if show_s is None else f" at {show_s:.2f} s of the show"
+    return (
+        f"this program was held up for {s_from_ns(gap_ns):.2f} s{where}: {STALL_REASON}. The moves "
+        f"of that time were not sent"
+    )
 
-    def _advance_streamer(self, now_ns: int) -> None:
-        if self._streamer is None:
-            return
-        if self.phase in PLAYING:
-            self._events += self._session.agenda.advance(self._streamer, self.lines, now_ns)
-        self._streamer.advance(now_ns)
-        if self._streamer.has_waited:
-            self._events += self._session.note_wait(self._streamer)
 
-    def _judge_faults(self, now_ns: int) -> bool:
-        """Act on the faults that the streamer has found; return whether the phase changed."""
-        assert self._streamer is not None
-        verdict = self._faults.judge(self._streamer, now_ns)
-        self._report_faults()
-        match verdict:
-            case Verdict.END:
-                self._end("fault", now_ns)
-            case Verdict.RECOVER:
-                self._recover(now_ns)
-            case Verdict.CONTINUE:
-                self._apply_rate(now_ns)
-        return verdict is not Verdict.CONTINUE
+class StallDetector:
+    """Detects that the process was stopped or got no processor time when something was due."""
 
-    def _has_streamed(self, now_ns: int) -> bool:
-        """Return whether the streamer has finished its part of this phase."""
-        if self.phase in (Phase.STOP, Phase.RECOVER, Phase.SEEK):
-            is_standing = self._streamer is None or self._streamer.is_standing(now_ns)
-            return is_standing and not (self.phase is Phase.RECOVER and self._faults.lost_ports)
-        assert self._streamer is not None
-        if not self._streamer.is_finished(now_ns):
-            self._goal_ns = None  # A fault at the end may have set the joints in motion again.
-            return False
-        return self.phase is not Phase.SHOW or self._has_reached_goal(self._streamer, now_ns)
+    def __init__(self) -> None:
+        self.wakeup_ns: int | None = None
+        """When the player must be called at the latest; its owner sets it."""
+        self._named = 0
 
-    def _has_reached_goal(self, show: Streamer, now_ns: int) -> bool:
-        """Return whether no joint has time left to come within its goal tolerance.
+    def gap_ns(self, now_ns: int) -> int:
+        """Return by how much the call at `now_ns` is too late; 0: not by `GAP_NS`."""
+        wakeup_ns, self.wakeup_ns = self.wakeup_ns, None
+        gap_ns = 0 if wakeup_ns is None else now_ns - wakeup_ns
+        return gap_ns if gap_ns >= GAP_NS else 0
 
-        The show has not finished if one is beyond it after its time.
-        """
-        misses = self._faults.goal_misses(show)
-        if self._ended_ns is None:
-            self._ended_ns = now_ns
-        joints = self.robot.joints
-        ends_ns = [self._ended_ns + ns_from_s(joints[name].goal_time_s) for name in misses]
-        self._goal_ns = min((end_ns for end_ns in ends_ns if end_ns > now_ns), default=None)
-        if self._goal_ns is not None:
-            return False
-        for name, off_deg in misses.items():
-            if self._faults.note_goal(name, off_deg) is Verdict.END:
-                self.outcome = self.outcome or "fault"
-        self._report_faults()
-        return True
-
-    def _after_streamer(self, now_ns: int) -> None:
-        if self.phase is Phase.RECOVER:
-            self._streamer = None
-            self._dialogue = self._session.dialogue(self._faults.recovery_queries())
-        elif self.phase is Phase.SEEK:
-            self._go_on(now_ns)
-        elif self.phase is not Phase.APPROACH:
-            self._after_show(now_ns)
-        elif self._session.has_feedback:
-            self._streamer = None
-            self._dialogue = self._session.arrival_dialogue()
-        else:
-            self._begin(now_ns)
-
-    def _after_show(self, now_ns: int) -> None:  # noqa: ARG002  (a stage goes on)
-        """End the run: the show is over, or the robot has stopped."""
-        self.outcome = self.outcome or "finished"
-        self._restore()
-
-    def _after_dialogue(self, now_ns: int) -> None:
-        dialogue, self._dialogue = self._dialogue, None
-        assert dialogue is not None
-        match self.phase:
-            case Phase.CONNECT if isinstance(dialogue, Preflight):
-                self._connected(dialogue)
-            case Phase.RECOVER | Phase.PREPARE if isinstance(dialogue, Preflight):
-                self._proved(dialogue, now_ns)
-            case Phase.PREPARE if isinstance(dialogue, SettingsDialogue):
-                self._prepared(dialogue, now_ns)
-            case Phase.RECOVER:
-                self._dialogue = self._faults.proof(dialogue.answers)
-            case Phase.APPROACH:
-                self._arrived(dialogue.answers, now_ns)
-            case _:
-                self._finish(now_ns)
-        self._report_faults()
-
-    # ---- from one phase to the next
-
-    def _enter(self, phase: Phase) -> None:
-        self._report_faults()
-        self.phase = phase
-        self._events.append(PhaseEntered(phase))
-
-    def _report_faults(self) -> None:
-        self._events += self._faults.take_events()
-        if self._now_ns >= self.unasked.look_ns:
-            self._events += map(Warned, self.unasked.advance(self._now_ns))
-
-    def _connected(self, preflight: Preflight) -> None:
-        try:
-            self._events += self._session.note_original(preflight)
-        except LssMotionError as error:
-            self._fail(error)
-            return
-        if self._must_ask:
-            self._enter(Phase.READY)
-        else:
-            self._prepare()
-
-    def _proved(self, preflight: Preflight, now_ns: int) -> None:
-        """Go on with servos that were away if they are the same as before; wait for the others."""
-        if (error := self._faults.prove(preflight, now_ns)) is not None:
-            self._fail(error)
-        elif preflight.unproved:
-            self._enter(Phase.RECOVER)
-        elif self.phase is Phase.PREPARE and self._preparation.is_repeated:
-            self._approach(now_ns)
-        else:
-            self._prepare(is_repeated=self.phase is Phase.PREPARE)
-
-    def _prepare(self, *, is_repeated: bool = False) -> None:
-        self._has_set, self._approaches = True, 0
-        self._preparation = Preparation(self._now_ns, self._session.timeouts, is_repeated)
-        self._enter(Phase.PREPARE)
-        self._dialogue = self._session.settings_dialogue()
-
-    def _prepared(self, settings: SettingsDialogue, now_ns: int) -> None:
-        if self._has_lost_turns(settings.answers, now_ns):
-            return
-        silent = self._session.note_positions(settings.answers)
-        if settings.wrong or silent:
-            if error := self._faults.wait_again(silent, settings.wrong, settings.answers, now_ns):
-                self._fail(error)
-            else:
-                self._enter(Phase.RECOVER)
-        elif self._preparation.has_missed(self._session.timeouts, now_ns):
-            self._dialogue = self._session.proof(self._session.driven, settings.answers)
-        elif self._preparation.is_stale(now_ns):
-            self._prepare(is_repeated=True)
-        else:
-            self._approach(now_ns)
-
-    def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
-        """End the run if a joint is in another turn than it was: no move takes it back."""
-        verdict = self._faults.lose_turns(self._session.turned(answers, now_ns), now_ns)
-        if verdict is Verdict.END:
-            self._streamer = None
-            self._end("fault", now_ns)
-        return verdict is Verdict.END
-
-    def _go_on(self, now_ns: int) -> None:
-        """Go on elsewhere: the robot stands."""
-        self._approaches = 0
-        self._session.note_standing(now_ns)
-        self._approach(now_ns)
-
-    def _approach(self, now_ns: int) -> None:
-        self._approaches += 1
-        self._has_moved = True
-        if self._seek_s is not None:
-            self._session.seek(self.show, self._seek_s, now_ns)
-            self._seek_s = self._ended_ns = self._goal_ns = None
-        if self.phase is not Phase.APPROACH:
-            self._enter(Phase.APPROACH)
-        self._streamer = self._session.approach(self._pose_deg(now_ns), now_ns)
-
-    def _pose_deg(self, now_ns: int) -> dict[str, float]:
-        """Return the angles of the driven joints from which the show begins, or goes on."""
-        return self._session.pose_deg(self.show, now_ns)
-
-    def _arrived(self, answers: Answers, now_ns: int) -> None:
-        """Go on with the show if every joint is where it begins; else repeat the approach."""
-        if self._has_lost_turns(answers, now_ns):
-            return
-        session = self._session
-        silent = session.note_positions(answers)
-        silent += [joint for joint in session.unreported(answers) if joint not in silent]
-        match self._faults.arrive(session.restarted(answers), silent, now_ns):
-            case Verdict.END:
-                self._end("fault", now_ns)
-            case Verdict.RECOVER:
-                self._recover(now_ns)
-            case Verdict.CONTINUE:
-                self._judge_arrival(now_ns)
-
-    def _judge_arrival(self, now_ns: int) -> None:
-        """Go on with the show if every joint is near enough to its place; else approach again."""
-        session, count = self._session, self._approaches
-        match session.judge_arrival(self._pose_deg(now_ns), count, now_ns):
-            case Arrival.THERE, _, _:
-                self._begin(now_ns)
-            case Arrival.AGAIN, _, _:
-                self._approach(now_ns)
-            case Arrival.ASTRAY, joint, off_deg:
-                self._faults.note_astray(joint, off_deg, count)
-                self._end("fault", now_ns)
-
-    def _begin(self, now_ns: int) -> None:
-        """Begin the show, or go on with it."""
-        self._enter(self._show_phase)
-        self._faults.clear()
-        if self.show is None:
-            self.show = self._session.begin(now_ns + COUNT_IN_NS, is_open=self._is_open)
-            if self._is_held and self._show_phase is Phase.SHOW:
-                self._is_held = False  # The next show of a stage is another one.
-                self.show.hold_before_start(now_ns)
-        else:
-            self._session.resume(self.show, now_ns)
-        self._streamer = self.show
-        self._apply_rate(now_ns)
-
-    def _apply_rate(self, now_ns: int) -> None:
-        """Set the show clock to the rate of the person, as far as the faults allow it."""
-        if self._streamer is None or self.phase not in (Phase.APPROACH, *PLAYING):
-            return
-        own_rate = self._rate if self.phase is Phase.SHOW else 1.0
-        rate = min(self._faults.escalation.rate_max, own_rate)
-        if rate != self._streamer.rate_wanted:
-            self._streamer.set_rate(rate, now_ns)
-
-    def _recover(self, now_ns: int) -> None:
-        """Brake, and wait for the servos that are gone.
-
-        They are sent no move before they have their settings again, not even to brake: their last
-        move ends by itself.
-        """
-        self._dialogue = None
-        if self._streamer is not None:
-            self._streamer.leave_out(self._session.left_out | self._faults.missing)
-            self._brake(now_ns)
-        self._enter(Phase.RECOVER)
-
-    def _brake(self, now_ns: int) -> None:
-        """Ramp the rate to 0, unless that was done."""
-        if self._streamer is not None and self._streamer.rate_wanted != 0.0:
-            self._streamer.set_rate(0.0, now_ns)
-
-    # ---- the end
-
-    def _fail(self, error: LssMotionError) -> None:
-        self.error, self.outcome = error, "fault"
-        self._restore()
-
-    def _end(self, outcome: Outcome, now_ns: int) -> None:
-        """Brake if anything moves, then restore and end."""
-        self.outcome = self.outcome or outcome
-        if self._streamer is not None and self.phase in (*DRIVING, Phase.RECOVER):
-            self._brake(now_ns)
-            self._enter(Phase.STOP)
-        elif self.phase is not Phase.STOP:
-            self._restore()
-
-    def _restore(self) -> None:
-        """Give back the settings, if the show changed them."""
-        self.end_show(self._now_ns)
-        self._streamer = None
-        self._enter(Phase.RESTORE)
-        session = self._session
-        self._dialogue = session.restoring_dialogue() if self._has_set else session.dialogue([])
-
-    def _finish(self, now_ns: int) -> None:
-        self.end_show(now_ns)
-        self._dialogue = self._streamer = None
-        for name, data in self.safe_bytes().items():
-            self.lines[name].send(data, now_ns)
-        self._enter(Phase.DONE)
+    def warning(self, gap_ns: int) -> str | None:
+        """Return the warning about a delay in which no move was due; None: there were enough."""
+        if self._named == NAMED_MAX:
+            return None
+        self._named += 1
+        last = ". Further delays are not reported" if self._named == NAMED_MAX else ""
+        return (
+            f"this program was held up for {s_from_ns(gap_ns):.2f} s: {STALL_REASON}. No move was "
+            f"due meanwhile{last}"
+        )

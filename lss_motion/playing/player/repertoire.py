@@ -2,7 +2,8 @@
 
 The servos are checked and get their settings once, for all programs. So what can be played later is
 what the run was prepared for (`Repertoire.require`). While one program is played, the other joints
-of the run hold: `Repertoire.widened` adds them to it as joints without moves.
+of the run hold: `Repertoire.widened` adds them to it as joints without moves. The run of one show
+has a repertoire of one program, and ends with it (`Repertoire.single`).
 """
 
 from __future__ import annotations
@@ -33,17 +34,28 @@ class Repertoire:
     """The programs of one run by name. Raises `InputError` if one robot cannot play them all."""
 
     def __init__(
-        self, programs: Mapping[str, Program], robot: Robot, *, watched: Iterable[str] = ()
+        self,
+        programs: Mapping[str, Program],
+        robot: Robot,
+        *,
+        watched: Iterable[str] = (),
+        only: Program | None = None,
     ) -> None:
-        """Take the programs by name, and the sensors that are watched besides theirs."""
-        self.programs = {name: replace(one, name=name) for name, one in programs.items()}
+        """Take the programs by name, and the sensors that are watched besides theirs.
+
+        `only` is the program of a run that ends with it, and then is the one in `programs`.
+        """
+        self.programs = {name: _named(one, name) for name, one in programs.items()}
+        self.only = only
+        """The program with which the run ends; None: the run goes on until it is stopped."""
         self._robot = robot
         self._drivings: dict[str, Driving] = {}
         for program in self.programs.values():
             self._add_joints(program)
-        self.joints = tuple(name for name in robot.joints if name in self._drivings)
-        """The joints of the run, in the order of the robot file."""
-        if not self.joints:
+        names = robot.joints if only is None else only.start_deg
+        self.joints = tuple(name for name in names if name in self._drivings)
+        """The joints of the run: in the order of the robot file, or of its only program."""
+        if not self.joints and only is None:
             raise InputError("a stage needs at least one show that moves a joint")
         self.watched = tuple(watched)
         self._sensors = {p.wait.sensor for one in self.programs.values() for p in one.waits}
@@ -52,11 +64,19 @@ class Repertoire:
         self._functions = {cue.run for cue in cues if cue.run}
         self._has_sounds = any(cue.sound for cue in cues)
 
+    @classmethod
+    def single(cls, program: Program, robot: Robot) -> Repertoire:
+        """Return the repertoire of a run that plays `program` and ends with it."""
+        return cls({program.name: program}, robot, only=program)
+
     def needs(self, first: Program | None) -> Program:
         """Return what all programs need together, as one program that is checked, not played.
 
-        Its joints start where those of `first` do; NaN: they stay where they are.
+        Its joints start where those of `first` do; NaN: they stay where they are. Of a run with an
+        only program it is that one, which is played.
         """
+        if self.only is not None:
+            return self.only
         together, start_deg = self.programs.values(), {} if first is None else first.start_deg
         return self._program(
             "stage",
@@ -117,7 +137,7 @@ class Repertoire:
 
     def renew(self, programs: Mapping[str, Program]) -> None:
         """Take newer programs in place of all; raise `InputError`, and take none, as `require`."""
-        renewed = {name: replace(one, name=name) for name, one in programs.items()}
+        renewed = {name: _named(one, name) for name, one in programs.items()}
         for program in renewed.values():
             self.require(program)
         self.programs = renewed
@@ -146,6 +166,10 @@ class Repertoire:
             drives=self._drives(),
         )
         return replace(made, **more)
+
+
+def _named(program: Program, name: str) -> Program:
+    return program if program.name == name else replace(program, name=name)
 
 
 def _driving(program: Program, name: str) -> Driving:

@@ -71,13 +71,10 @@ class ShowsSteering(Steering):
         super().on_event(event)
 
     def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
-        from lss_motion.playing.player.stage_player import StagePlayer
-
         is_over = self._has_stopped or player.is_finished
         if is_over or not isinstance(operation, s.Change | s.EndAdded):
             super()._apply(operation, player, now_ns)
             return
-        assert isinstance(player, StagePlayer)
         if isinstance(operation, s.EndAdded):
             player.end_added(operation.show, now_ns)
             return

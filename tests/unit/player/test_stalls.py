@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lss_motion.playing.player.stalls import GAP_NS, NAMED_MAX, StallDetector, stall_text
+from lss_motion.playing.player.player import GAP_NS, NAMED_MAX, StallDetector
 
 S = 1_000_000_000
 
@@ -25,10 +25,3 @@ def test_delays_are_reported_with_their_length_up_to_a_maximum():
     assert texts[0].startswith("this program was held up for 3.00 s: stopped (Ctrl-Z)")
     assert [text is None for text in texts] == [False] * NAMED_MAX + [True] * 5
     assert texts[NAMED_MAX - 1].endswith("Further delays are not reported")
-
-
-def test_a_stall_is_reported_with_its_length_and_the_place_in_the_show():
-    assert stall_text(3 * S, 7.25).startswith(
-        "this program was held up for 3.00 s at 7.25 s of the show: stopped (Ctrl-Z)"
-    )
-    assert "held up for 3.00 s: stopped" in stall_text(3 * S, None), "before the show"

@@ -10,6 +10,7 @@ from lss_motion.planning.program.model import Move, Program, Repeat
 from lss_motion.planning.trajectory.model import SlowSpan
 from lss_motion.playing.player.events import Faulted
 from lss_motion.playing.player.player import Player
+from lss_motion.playing.player.repertoire import Repertoire
 from lss_motion.playing.report import JointReport, Report, TraceReport, make_report
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.on_fault import Cause, FaultStep
@@ -27,7 +28,7 @@ def player(**fields) -> Player:
     move = Move(due_us=0, bus="main", servo_id=1, target_wire=100, duration_ms=500)
     base = {"duration_s": 1.5, "start_deg": {"j0": 0.0}, "stretched": (STRETCH,), **fields}
     program = Program(name="wave", robot="bench", moves=(move,), tolerance_deg=0.2, **base)
-    return Player(program, ROBOT)
+    return Player(Repertoire.single(program, ROBOT), ROBOT)
 
 
 def report(playing, **fields):
