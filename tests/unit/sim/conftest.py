@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from msgspec.structs import replace
 
@@ -45,6 +47,26 @@ class Host:
         if not received:
             self.wait_s(0.02)
         return received.decode("latin-1").replace("\r", "|")
+
+    def talk(self, dialogue: str) -> None:
+        """Say, ask and wait, word by word.
+
+        `#5D300` is said; `#5QSD1=900` asks and expects `*5QSD900|`, `#5QG=` silence, and
+        `#254QID=*QID5|` just that; `1.5s` waits; `@30` is where the first horn stands, `@1:30` the
+        second.
+        """
+        for word in dialogue.split():
+            if match := re.fullmatch(r"@(?:(\d):)?(.+)", word):
+                assert self.horn_deg(int(match[1] or 0)) == pytest.approx(float(match[2]), abs=0.05)
+            elif word.endswith("s") and word[0] != "#":
+                self.wait_s(float(word[:-1]))
+            elif "=" in word:
+                line, said = word.split("=")
+                if said and said[0] != "*":
+                    said = f"*{line[1:].rstrip('0123456789')}{said}|"
+                assert (word, self.ask(line)) == (word, said)
+            else:
+                self.say(word)
 
     def wait_s(self, duration_s: float) -> None:
         self.now_ns += round(duration_s * 1e9)

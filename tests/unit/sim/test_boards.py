@@ -10,6 +10,7 @@ from lss_motion.robot.servo_models import SERVO_MODELS, with_units
 from lss_motion.sim.boards import SENSOR_FAR, SENSORS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import ServoSpec
+from tests.tables import titled
 
 IO2 = SERVO_MODELS["LSS-2IO"]
 
@@ -18,32 +19,71 @@ def rc_servo(servo_id: int = 209) -> ServoSpec:
     return ServoSpec(servo_id=servo_id, model=IO2)
 
 
+DIALOGUES = {
+    "every pin reports its kind":
+        "#203QMS=LSS-2IO-A3 #204QMS=LSS-2IO-A4 #205QMS=LSS-2IO-A5 #207QMS=LSS-2IO-LED "
+        "#209QMS=LSS-2IO-D9 #210QMS=LSS-2IO-D10 #211QMS=LSS-2IO-D11",
+    "every device reports its id and gyre":
+        "#203QID=203 #203QG=1 #207QID=207 #207QG=1 #209QID=209 #209QG=1",
+    "a timed move jumps in whole degrees": "#209D457T900 0.4s @45 #209QD=450",
+    "what is beyond 90 degrees ends there":
+        "#210D1456 1s #210QD=900 @1:90 #210D-1456 1s #210QD=-900 @1:-90",
+    "pulses are clamped and remembered":
+        "#211P2334 #211QP=2334 1s @2:83.60 #211P9000 #211QP=2400 #211P2500 #211QP=2400 #211P500 "
+        "#211QP=544 #211P-5 #211QP=544",
+    "degrees are pulses of 544 to 2400 us":
+        "#209D0 #209QP=1472 #209D900 #209QP=2400 #209D-900 #209QP=544 #209D457 #209QP=1936 "
+        "#209D4539 #209QP=2400 #209D4540 #209QP=544 #209D5000 #209QP=590",
+    "before any command a pin reports 20 tenths and the middle pulse": "#209QD=20 #209QP=1500",
+    "a command without a value goes to 0":
+        "#209D450 #209D #209QD=0 #209D450 #209P #209QP=544 #207LED3 #207LED #207QLED=0",
+    "a turned gyre mirrors degrees and answers nonsense":
+        "#209G-1 #209D450 1s @-45 #209QD=-1350 #209P2334 1s #209QP=2334 @83.60",
+    "what the board has not got is silence":
+        "#209Q= #209QV= #209QT= #209QC= #209QDT= #209QF= #209QN= #209QWD= #209QSD= #209QEM= "
+        "#209QO= #209QLED=",
+    "commands that a pin has not got do nothing":
+        "#207LED2 #209H 0.5s @0 #207QLED=2 #209MD100 0.5s @0 #207QLED=2 #209WD100 0.5s @0 "
+        "#207QLED=2 #209RESET 0.5s @0 #207QLED=2 #209LED3 0.5s @0 #207QLED=2",
+    "of two pins with one id only the first acts and answers":
+        "#210CID203 #211CID203 #203QMS=LSS-2IO-D10 #203D450 1s @0:0 @1:45 @2:0",
+    "a pin with id 0 acts and answers its model only":
+        "#209CID0 #0D450 1s @45 #0QD= #0QID= #0QMS=LSS-2IO-D9",
+    "no broadcast changes what is stored":
+        "#254CG-1 #207RESET 0.05s #209QG=1 #207QLED=0 #207QB=115200 #209QID=209 #254CLED5 "
+        "#207RESET 0.05s #209QG=1 #207QLED=0 #207QB=115200 #209QID=209 #254CB9600 #207RESET 0.05s "
+        "#209QG=1 #207QLED=0 #207QB=115200 #209QID=209 #254CID9 #207RESET 0.05s #209QG=1 "
+        "#207QLED=0 #207QB=115200 #209QID=209 #254CA4 #207RESET 0.05s #209QG=1 #207QLED=0 "
+        "#207QB=115200 #209QID=209",
+    "other broadcasts are obeyed and not answered":
+        "#254D300 #254LED4 1s @0:30 @1:30 @2:30 #207QLED=4 #254QID= #254QD= #254QG= #254QA= "
+        "#254QLED= #254QB=",
+    "a baud rate counts at once":
+        "#207QB=115200 #207CB921600 #207QB=115200 #209CB9600 #207QB=115200 #207CB9600 #207QB=",
+    "a reset keeps what was configured and forgets the rest":
+        "#207CLED5 #207LED1 #209CG-1 #210G-1 #203CID2 #207RESET 0.05s #207QLED=5 #209QG=-1 "
+        "#210QG=1 #2QMS=LSS-2IO-A3",
+    "a default acts at once and needs no confirmation":
+        "#207CLED5 #209CG-1 #203CID2 #207DEFAULT 0.05s #207QLED=0 #209QG=1 #203QMS=LSS-2IO-A3 "
+        "#2QMS=",
+    "a LED colour that does not exist is off": "#207LED3 #207LED9 #207QLED=0",
+    "an analog pin is an output until the next reset":
+        "#203A200 #203QA=1023 #203A100 #203QA=0 #204A1 #204QA=1023 #203A #203QA=0 #207RESET 0.05s "
+        "#203QA=400",
+    "a section of 15 characters fits and one of 16 is lost":
+        "#209D00000000450 0.5s #209QD=20 #209D0000000450 #209QD=450",
+}  # fmt: skip
+
+
 @pytest.fixture
 def board(make_host):
     return make_host(rc_servo(209), rc_servo(210), rc_servo(211))
 
 
-@pytest.mark.parametrize(
-    ("pin_id", "name"),
-    [(203, "A3"), (204, "A4"), (205, "A5"), (207, "LED"), (209, "D9"), (210, "D10"), (211, "D11")],
-)
-def test_every_pin_reports_its_kind(board, pin_id, name):
-    assert board.ask(f"#{pin_id}QMS") == f"*{pin_id}QMSLSS-2IO-{name}|"
-
-
-def test_a_timed_move_jumps_in_whole_degrees(board):
-    board.say("#209D457T900")
-    board.wait_s(0.4)
-    assert board.horn_deg(0) == pytest.approx(45.0, abs=0.01)
-    assert board.ask("#209QD") == "*209QD450|"
-
-
-@pytest.mark.parametrize(("asked", "said", "deg"), [(1456, 900, 90.0), (-1456, -900, -90.0)])
-def test_what_is_beyond_90_degrees_ends_there(board, asked, said, deg):
-    board.say(f"#210D{asked}")
-    board.wait_s(1.0)
-    assert board.ask("#210QD") == f"*210QD{said}|"
-    assert board.horn_deg(1) == pytest.approx(deg, abs=0.01)
+@titled("dialogue", DIALOGUES)
+def test_a_board_answers(board, dialogue):
+    board.bus.set_input(203, 400, board.now_ns)
+    board.talk(dialogue)
 
 
 def test_qd_answers_the_command_however_far_the_horn_is(make_host):
@@ -62,53 +102,6 @@ def test_a_blocked_rc_servo_has_no_safe_mode(make_host):
     assert host.horn_deg() == pytest.approx(60.0, abs=0.1)
 
 
-def test_pulses_are_clamped_and_remembered(board):
-    board.say("#211P2334")
-    assert board.ask("#211QP") == "*211QP2334|"
-    board.wait_s(1.0)
-    assert board.horn_deg(2) == pytest.approx((2334 - 1472) * 180 / 1856, abs=0.01)
-    for asked, said in ((9000, 2400), (2500, 2400), (500, 544), (-5, 544)):
-        board.say(f"#211P{asked}")
-        assert board.ask("#211QP") == f"*211QP{said}|"
-
-
-@pytest.mark.parametrize(
-    ("asked", "pulse_us"),
-    [(0, 1472), (900, 2400), (-900, 544), (457, 1936), (4539, 2400), (4540, 544), (5000, 590)],
-)
-def test_degrees_are_pulses_of_544_to_2400_us(board, asked, pulse_us):
-    board.say(f"#209D{asked}")
-    assert board.ask("#209QP") == f"*209QP{pulse_us}|"
-
-
-def test_before_any_command_a_pin_reports_20_tenths_and_the_middle_pulse(board):
-    assert [board.ask(f"#209{word}") for word in ("QD", "QP")] == ["*209QD20|", "*209QP1500|"]
-
-
-def test_a_command_without_a_value_goes_to_0(board):
-    for line, question, said in (
-        ("#209D", "QD", "0"),
-        ("#209P", "QP", "544"),
-        ("#207LED", "QLED", "0"),
-    ):
-        board.say("#209D450")
-        board.say("#207LED3")
-        board.say(line)
-        assert board.ask(f"#{line[1:4]}{question}") == f"*{line[1:4]}{question}{said}|"
-
-
-def test_a_turned_gyre_mirrors_degrees_and_answers_nonsense(board):
-    board.say("#209G-1")
-    board.say("#209D450")
-    board.wait_s(1.0)
-    assert board.bus.motors.horns.deg[0] == pytest.approx(-45.0, abs=0.01)
-    assert board.ask("#209QD") == "*209QD-1350|"
-    board.say("#209P2334")
-    board.wait_s(1.0)
-    assert board.ask("#209QP") == "*209QP2334|"
-    assert board.bus.motors.horns.deg[0] == pytest.approx((2334 - 1472) * 180 / 1856, abs=0.01)
-
-
 def test_90_degrees_of_an_rc_servo_with_its_own_pulses_are_90_degrees(make_host):
     """D900 gives 2400 us, at which a servo of 500 to 2500 us stands at 81 degrees."""
     model = with_units(SERVO_MODELS["LSS-2IO"], Units(rc_pulse_us=(500, 2500)))
@@ -124,71 +117,11 @@ def test_90_degrees_of_an_rc_servo_with_its_own_pulses_are_90_degrees(make_host)
         assert host.horn_deg() == pytest.approx(turn_deg, abs=0.5)
 
 
-@pytest.mark.parametrize(
-    "question", ["Q", "QV", "QT", "QC", "QDT", "QF", "QN", "QWD", "QSD", "QEM", "QO", "QLED"]
-)
-def test_what_the_board_has_not_got_is_silence(board, question):
-    assert board.ask(f"#209{question}") == ""
-
-
-@pytest.mark.parametrize("line", ["#209H", "#209MD100", "#209WD100", "#209RESET", "#209LED3"])
-def test_commands_that_a_pin_has_not_got_do_nothing(board, line):
-    board.say("#207LED2")
-    board.say(line)
-    board.wait_s(0.5)
-    assert board.horn_deg(0) == 0.0
-    assert board.ask("#207QLED") == "*207QLED2|"
-
-
-def test_every_device_reports_its_id_and_gyre(board):
-    for device in (203, 207, 209):
-        assert board.ask(f"#{device}QID") == f"*{device}QID{device}|"
-        assert board.ask(f"#{device}QG") == f"*{device}QG1|"
-
-
 def test_a_model_query_to_all_is_answered_by_every_device(board):
     names = board.ask("#254QMS").split("|")
     assert sorted(names) == ["", *(f"*{n}QMSLSS-2IO-{name}" for n, name in (
         (203, "A3"), (204, "A4"), (205, "A5"), (207, "LED"), (209, "D9"), (210, "D10"), (211, "D11")
     ))]  # fmt: skip
-
-
-def test_of_two_pins_with_one_id_only_the_first_acts_and_answers(board):
-    for line in ("#210CID203", "#211CID203"):
-        board.say(line)
-    assert board.ask("#203QMS") == "*203QMSLSS-2IO-D10|"
-    board.say("#203D450")
-    board.wait_s(1.0)
-    assert [board.horn_deg(index) for index in range(3)] == pytest.approx([0.0, 45.0, 0.0], abs=0.1)
-
-
-def test_a_pin_with_id_0_acts_and_answers_its_model_only(board):
-    board.say("#209CID0")
-    board.say("#0D450")
-    board.wait_s(1.0)
-    assert board.horn_deg() == pytest.approx(45.0, abs=0.1)
-    assert board.ask("#0QD") == board.ask("#0QID") == ""
-    assert board.ask("#0QMS") == "*0QMSLSS-2IO-D9|"
-
-
-@pytest.mark.parametrize("line", ["#254CG-1", "#254CLED5", "#254CB9600", "#254CID9", "#254CA4"])
-def test_no_broadcast_changes_what_is_stored(board, line):
-    board.say(line)
-    board.say("#207RESET")
-    board.wait_s(0.05)
-    questions = ("#209QG", "#207QLED", "#207QB", "#209QID")
-    answers = ["*209QG1|", "*207QLED0|", "*207QB115200|", "*209QID209|"]
-    assert [board.ask(question) for question in questions] == answers
-
-
-def test_other_broadcasts_are_obeyed_and_not_answered(board):
-    board.say("#254D300")
-    board.say("#254LED4")
-    board.wait_s(1.0)
-    assert [board.horn_deg(index) for index in range(3)] == pytest.approx([30.0] * 3, abs=0.1)
-    assert board.ask("#207QLED") == "*207QLED4|"
-    for question in ("QID", "QD", "QG", "QA", "QLED", "QB"):
-        assert board.ask(f"#254{question}") == ""
 
 
 def test_limp_lasts_until_the_next_position(board):
@@ -198,40 +131,6 @@ def test_limp_lasts_until_the_next_position(board):
     board.say("#209D0")
     board.wait_s(0.1)
     assert board.bus.motors._drives.is_powered.tolist() == [True, False, False]
-
-
-def test_a_baud_rate_counts_at_once(board):
-    assert board.ask("#207QB") == "*207QB115200|"
-    board.say("#207CB921600")
-    assert board.ask("#207QB") == "*207QB115200|"
-    board.say("#209CB9600")
-    assert board.ask("#207QB") == "*207QB115200|"
-    board.say("#207CB9600")
-    assert board.ask("#207QB") == ""
-
-
-def test_reset_keeps_what_was_configured_and_forgets_the_rest(board):
-    for line in ("#207CLED5", "#207LED1", "#209CG-1", "#210G-1", "#203CID2", "#207RESET"):
-        board.say(line)
-    board.wait_s(0.05)
-    questions = ("#207QLED", "#209QG", "#210QG", "#2QMS")
-    answers = ["*207QLED5|", "*209QG-1|", "*210QG1|", "*2QMSLSS-2IO-A3|"]
-    assert [board.ask(question) for question in questions] == answers
-
-
-def test_default_acts_at_once_and_needs_no_confirm(board):
-    for line in ("#207CLED5", "#209CG-1", "#203CID2", "#207DEFAULT"):
-        board.say(line)
-    board.wait_s(0.05)
-    questions = ("#207QLED", "#209QG", "#203QMS", "#2QMS")
-    answers = ["*207QLED0|", "*209QG1|", "*203QMSLSS-2IO-A3|", ""]
-    assert [board.ask(question) for question in questions] == answers
-
-
-def test_a_led_colour_that_does_not_exist_is_off(board):
-    board.say("#207LED3")
-    board.say("#207LED9")
-    assert board.ask("#207QLED") == "*207QLED0|"
 
 
 def test_analog_inputs_answer_what_they_see(board):
@@ -247,16 +146,6 @@ def test_a_pin_with_nothing_connected_reads_random_values(board):
     assert max(values) - min(values) > 400
     board.bus.set_input(203, 400, board.now_ns)
     assert {board.ask("#203QA") for _ in range(5)} == {"*203QA400|"}
-
-
-def test_an_analog_pin_is_an_output_until_the_next_reset(board):
-    for line, said in (("#203A200", 1023), ("#203A100", 0), ("#204A1", 1023), ("#203A", 0)):
-        board.say(line)
-        assert board.ask(f"{line[:4]}QA") == f"*{line[1:4]}QA{said}|"
-    board.bus.set_input(203, 400, board.now_ns)
-    board.say("#207RESET")
-    board.wait_s(0.05)
-    assert board.ask("#203QA") == "*203QA400|"
 
 
 def test_a_receiver_reports_the_pulses_of_its_channels(board):
@@ -303,14 +192,6 @@ def test_a_scenario_moves_an_input(make_host):
     assert host.ask("#203QA1") == "*203QA99|"
 
 
-def test_a_section_of_15_characters_fits_and_one_of_16_is_lost(board):
-    board.say("#209D00000000450")
-    board.wait_s(0.5)
-    assert board.ask("#209QD") != "*209QD450|"
-    board.say("#209D0000000450")
-    assert board.ask("#209QD") == "*209QD450|"
-
-
 def test_a_long_command_to_another_servo_may_move_an_output(make_host, make_servo):
     host = make_host(make_servo(5), rc_servo(209), rc_servo(210), rc_servo(211))
     moves = 0
@@ -321,45 +202,6 @@ def test_a_long_command_to_another_servo_may_move_an_output(make_host, make_serv
         host.wait_s(0.3)
         moves += any(abs(host.horn_deg(index)) > 1.0 for index in (1, 2, 3))
     assert 10 <= moves <= 30
-
-
-def test_a_group_line_of_short_sections_is_harmless_and_only_its_end_counts(make_host, make_servo):
-    host = make_host(make_servo(5), rc_servo(209), rc_servo(210))
-    host.say("#209D300#5D300T250#210D300")
-    host.wait_s(1.0)
-    assert [host.horn_deg(index) for index in range(3)] == pytest.approx([30, 0, 30], abs=0.1)
-
-
-def test_a_smart_servo_and_a_board_share_a_line(make_host, make_servo):
-    host = make_host(make_servo(5), rc_servo(209))
-    host.say("#254D200")
-    host.wait_s(1.0)
-    assert [host.ask("#5QD"), host.ask("#209QD")] == ["*5QD200|", "*209QD200|"]
-
-
-def test_horn_angles_are_in_the_order_of_the_specs(make_host, make_servo):
-    host = make_host(rc_servo(209), make_servo(5))
-    host.say("#209D300")
-    host.say("#5D100")
-    host.wait_s(1.0)
-    assert host.bus.horn_deg([host.now_ns])[0] == pytest.approx([30.0, 10.0], abs=0.1)
-
-
-def test_five_rc_servos_need_two_boards(make_host):
-    ids = (209, 210, 211, 12, 13)
-    host = make_host(*(rc_servo(servo_id) for servo_id in ids))
-    for place, servo_id in enumerate(ids):
-        host.say(f"#{servo_id}D{100 * place}")
-    host.wait_s(1.0)
-    angles_deg = [host.horn_deg(index) for index in range(5)]
-    assert angles_deg == pytest.approx([0.0, 10.0, 20.0, 30.0, 40.0], abs=0.1)
-    assert host.ask("#13QMS") == "*13QMSLSS-2IO-D10|"
-
-
-def test_a_servo_with_an_id_of_its_own_takes_a_pin_that_is_left(make_host):
-    host = make_host(rc_servo(9), rc_servo(209))
-    assert host.ask("#9QMS") == "*9QMSLSS-2IO-D10|"
-    assert host.ask("#209QMS") == "*209QMSLSS-2IO-D9|"
 
 
 def test_a_deaf_pin_leaves_the_others_alone(make_host):
@@ -374,3 +216,31 @@ def test_a_reset_of_one_pin_is_a_reset_of_its_board(make_host):
     host.say("#207LED4")
     host.wait_s(1.1)
     assert host.ask("#207QLED") == "*207QLED0|"
+
+
+SHARED = {
+    "five RC servos need two boards": (
+        (209, 210, 211, 12, 13),
+        "#209D0 #210D100 #211D200 #12D300 #13D400 1s @0:0 @1:10 @2:20 @3:30 @4:40 "
+        "#13QMS=LSS-2IO-D10",
+    ),
+    "an id of its own takes a pin that is left": (
+        (9, 209), "#9QMS=LSS-2IO-D10 #209QMS=LSS-2IO-D9"
+    ),
+    "a smart servo and a board share a line": (
+        (5, 209), "#254D200 1s #5QD=200 #209QD=200"
+    ),
+    "horn angles are in the order of the specs": (
+        (209, 5), "#209D300 #5D100 1s @0:30 @1:10"
+    ),
+    "of a group line of short sections only the end counts": (
+        (5, 209, 210), "#209D300#5D300T250#210D300 1s @0:30 @1:0 @2:30"
+    ),
+}  # fmt: skip
+
+
+@titled(("ids", "dialogue"), SHARED)
+def test_boards_and_servos_on_a_line(make_host, make_servo, ids, dialogue):
+    make_host(*(make_servo(5) if number == 5 else rc_servo(number) for number in ids)).talk(
+        dialogue
+    )

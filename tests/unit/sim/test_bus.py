@@ -5,9 +5,36 @@ import pytest
 from lss_motion.protocol.framing import ReplyParser
 from lss_motion.sim.physics import Physics, Turnaround
 from lss_motion.units import line_time_ns
+from tests.tables import titled
 
 SLOW = Turnaround(single_min_ns=1_500_000, single_max_ns=1_500_000)
 BYTE_NS = 86_806  # at 115200 bps, rounded up
+DIALOGUES = {
+    "370 answers a group of queries in turn":
+        ((0, 5, 10), {}, "#0QG0QLED0#5QG#10QG=*0QG1LED7|*5QG1|*10QG1|"),
+    "text ends its line in a group": ((1, 2), {}, "#1QMS0QG0#2QG=*1QMSLSS-ST1|*1QG1|*2QG1|"),
+    "before 370 only the last section of a line counts":
+        ((5, 6), {"firmware": 368}, "#5LED1#6LED2 #5QLED=7 #6QLED=2"),
+    "a group of moves moves all": ((1, 2), {}, "#1D100T250#2D200T250 1s #1QD=100 #2QD=200"),
+    "a missing CR before a hash is forgiven": ((5,), {}, "#254FPC5#254CAS-6 #5QFPC=5 #5QAS1=-6"),
+    "QID with a delay lets all speak":
+        ((3, 1, 9), {"baud_bps": 921600}, "#254QID150=*1QID1|*3QID3|*9QID9|"),
+    "slots order a broadcast query": (
+        (3, 9),
+        {"baud_bps": 500000},
+        "#254SLOTCOUNT2 #3SLOT1 #9SLOT0 #254QG=*9QG1|*3QG1|",
+    ),
+    "368 answers a broadcast QID in its form": ((5,), {"firmware": 368}, "#254QID=*QID5|"),
+    "370 answers a broadcast QID in its form": ((5,), {}, "#254QID=*5QID5|"),
+    "367 has no FPC": ((5,), {"firmware": 367}, "#5QFPC="),
+    "368 has FPC": ((5,), {"firmware": 368}, "#5QFPC=5"),
+    "what is unknown is passed over in silence": ((5,), {}, "#5BANANA= #6QD="),
+}  # fmt: skip
+
+
+@titled(("ids", "line", "dialogue"), DIALOGUES)
+def test_the_servos_on_a_bus_answer(make_host, make_servo, ids, line, dialogue):
+    make_host(*(make_servo(number) for number in ids), **line).talk(dialogue)
 
 
 def test_a_command_acts_when_its_last_byte_has_arrived(host):
@@ -64,12 +91,6 @@ def test_a_broadcast_action_reaches_all_and_a_broadcast_query_is_answered_by_all
     assert answer.count("|") < 6
 
 
-def test_a_group_of_queries_is_answered_in_turn_by_370(make_host, make_servo):
-    servos = [make_servo(number) for number in (0, 5, 10)]
-    host = make_host(*servos)
-    assert host.ask("#0QG0QLED0#5QG#10QG") == "*0QG1LED7|*5QG1|*10QG1|"
-
-
 @pytest.mark.parametrize(
     ("protocol", "said"),
     [(0, "*15QG1T250|*5QG1T250|"), (1, "*15QG1T250*5QG1T250|")],
@@ -86,11 +107,6 @@ def test_the_replies_to_a_group_have_one_end_each_or_one_for_all(
     assert [(reply.servo_id, reply.keyword, reply.value) for reply in replies] == [
         (15, "QG", 1), (15, "QT", 250), (5, "QG", 1), (5, "QT", 250)
     ]  # fmt: skip
-
-
-def test_text_ends_its_line_in_a_group(make_host, make_servo):
-    host = make_host(make_servo(1), make_servo(2))
-    assert host.ask("#1QMS0QG0#2QG") == "*1QMSLSS-ST1|*1QG1|*2QG1|"
 
 
 @pytest.mark.parametrize("baud_bps", [9600, 115200, 500000, 921600])
@@ -113,48 +129,6 @@ def test_the_servos_of_a_group_leave_a_gap(make_host, make_servo):
     host.ask("".join(f"#{number}QG0QLED0QAS" for number in range(18)))
     # Measured with a logic analyser, 18 servos and three queries each: 3 ms and 0.5 ms a servo.
     assert host.now_ns / 1e6 == pytest.approx(12.0, abs=1.5)
-
-
-def test_before_370_only_the_last_section_of_a_line_counts(make_host, make_servo):
-    host = make_host(make_servo(5), make_servo(6), firmware=368)
-    host.say("#5LED1#6LED2")
-    assert [host.ask("#5QLED"), host.ask("#6QLED")] == ["*5QLED7|", "*6QLED2|"]
-
-
-def test_a_group_of_moves_moves_all(make_host, make_servo):
-    host = make_host(make_servo(1), make_servo(2))
-    host.say("#1D100T250#2D200T250")
-    host.wait_s(1.0)
-    assert [host.ask("#1QD"), host.ask("#2QD")] == ["*1QD100|", "*2QD200|"]
-
-
-def test_a_missing_cr_before_a_hash_is_forgiven(host):
-    host.say("#254FPC5#254CAS-6")
-    assert [host.ask("#5QFPC"), host.ask("#5QAS1")] == ["*5QFPC5|", "*5QAS-6|"]
-
-
-def test_qid_with_a_delay_lets_everybody_speak(make_host, make_servo):
-    host = make_host(*(make_servo(number) for number in (3, 1, 9)), baud_bps=921600)
-    assert host.ask("#254QID150") == "*1QID1|*3QID3|*9QID9|"
-
-
-def test_slots_order_a_broadcast_query(make_host, make_servo):
-    host = make_host(make_servo(3), make_servo(9), baud_bps=500000)
-    for line in ("#254SLOTCOUNT2", "#3SLOT1", "#9SLOT0"):
-        host.say(line)
-    assert host.ask("#254QG") == "*9QG1|*3QG1|"
-
-
-@pytest.mark.parametrize(("firmware", "answer"), [(368, "*QID5|"), (370, "*5QID5|")])
-def test_a_broadcast_qid_is_answered_in_the_form_of_the_firmware(make_host, firmware, answer):
-    assert make_host(firmware=firmware).ask("#254QID") == answer
-
-
-def test_what_a_firmware_does_not_know_is_passed_over_in_silence(make_host):
-    assert make_host(firmware=367).ask("#5QFPC") == ""
-    assert make_host(firmware=368).ask("#5QFPC") == "*5QFPC5|"
-    assert make_host().ask("#5BANANA") == ""
-    assert make_host().ask("#6QD") == ""
 
 
 def test_a_servo_at_another_rate_receives_nothing(make_host, make_servo):

@@ -10,6 +10,7 @@ from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import load_faults
 from lss_motion.sim.physics import Physics
 from tests.joints import joint
+from tests.tables import titled
 
 
 @pytest.fixture
@@ -21,6 +22,67 @@ def two_buses():
     }
     buses = {name: Bus(name=name, port="sim://", baud_bps=115200, firmware=370) for name in joints}
     return Robot(name="two", path=None, buses=buses, joints=joints)
+
+
+def row(kind, **fields):
+    return Fault(kind=FaultKind(kind), **fields)
+
+
+DIALOGUES = {
+    "a lost reply never comes, and its command is obeyed":
+        ([row("lost_reply", until_s=1.0)], "#5LED3 #5QLED= 1s #5QLED=3"),
+    "a double reply comes twice": ([row("double_reply")], "#5QG=*5QG1|*5QG1|"),
+    "a restarted servo is deaf for as long as the row says": (
+        [row("reset", at_s=1.0, deaf_s=0.3)],
+        "#5SD100 1s #5QSD= 0.2s #5QSD= 0.09s #5QSD=3600",
+    ),
+    "only the named servo is deaf": ([row("deaf", servo_id=6)], "#5QG=1 #6QG="),
+    "a servo may answer with the id of another":
+        ([row("wrong_id", servo_id=6, as_id=5)], "#6QG=*5QG1|"),
+    "a hot servo trips": (
+        [row("hot", servo_id=5, at_s=0.5, temperature_c=90.0)],
+        "#5D900 0.6s #5Q=10 #5Q1=3 #5QT=900",
+    ),
+    "stored settings act at once, and after a restart again": (
+        [row("stored", servo_id=5, settings={"G": -1, "O": 50, "SD": 900})],
+        "#5QG=-1 #5QO=50 #5QSD1=900 #5QD=50 #6QG=1 #5G1 #5RESET 1.5s #5QG=-1 #5QD=50",
+    ),
+    "servos may have exchanged their ids": (
+        [
+            row("stored", servo_id=5, settings={"ID": 6}),
+            row("stored", servo_id=6, settings={"ID": 5}),
+        ],
+        "#5D200 1s @0:0 @1:20",
+    ),
+    "a stuck horn comes free again":
+        ([row("stuck", at_s=0.1, until_s=1.0)], "0.2s #5D450 0.5s @0 #5Q=8 1.5s @45"),
+    "a weak motor is slower while it is weak":
+        ([row("weak", speed_ratio=0.1, until_s=1.0)], "#5D900 0.9s @31.28 1s @90"),
+    "a supply below the least of the servos stops them": (
+        [row("low_voltage", at_s=0.2, supply_v=5.0)],
+        "#5D900T2000 1s #5Q=10 #5Q1=2 @7.17",
+    ),
+}  # fmt: skip
+SCALES = {
+    "D, finer": ("D", 0.1, "#5D300 0.7s @3 #5QD=300"),
+    "D, coarser": ("D", 10.0, "#5D30 0.7s @30 #5QD=30"),
+    "SD": ("SD", 10.0, "#5SD100 #5D300 0.7s @30 #5QSD=100"),
+    "T": ("T", 0.01, "#5D300T20000 0.7s @30 #5QT=250"),
+}
+
+
+@titled(("faults", "dialogue"), DIALOGUES)
+def test_a_row_does(make_host, make_servo, faults, dialogue):
+    make_host(make_servo(5), make_servo(6), faults=faults).talk(dialogue)
+
+
+@titled(("setting", "scale_ratio", "dialogue"), SCALES)
+def test_a_servo_with_another_scale_takes_and_answers_its_own(
+    make_host, setting, scale_ratio, dialogue
+):
+    """The time is too short for 30 deg at 10 deg/s, and long enough at 100 deg/s."""
+    fault = row("wrong_scale", setting=setting, scale_ratio=scale_ratio)
+    make_host(faults=[fault]).talk(dialogue)
 
 
 def test_a_lost_command_reaches_no_servo(make_host):
@@ -39,46 +101,6 @@ def test_a_corrupt_command_differs_in_one_byte(make_host):
     received = host.bus.lines[0][1]
     assert len(received) == 12
     assert sum(a != b for a, b in zip(received, b"#5D1234T500\r", strict=True)) == 1
-
-
-def test_a_lost_reply_never_comes_and_the_command_was_obeyed(make_host):
-    host = make_host(faults=[Fault(kind=FaultKind.LOST_REPLY, until_s=1.0)])
-    host.say("#5LED3")
-    assert host.ask("#5QLED") == ""
-    host.wait_s(1.0)
-    assert host.ask("#5QLED") == "*5QLED3|"
-
-
-@pytest.mark.parametrize("deaf_s", [0.02, 0.3, 1.25])
-def test_a_restarted_servo_is_deaf_for_as_long_as_the_row_gives(make_host, deaf_s):
-    host = make_host(faults=[Fault(kind=FaultKind.RESET, at_s=1.0, deaf_s=deaf_s)])
-    host.say("#5SD100")
-    host.wait_s(1.0)
-    assert host.ask("#5QSD") == ""
-    host.wait_s(deaf_s)
-    assert host.ask("#5QSD") == "*5QSD3600|"
-
-
-@pytest.mark.parametrize(
-    ("setting", "command", "query", "scale_ratio", "angle_deg", "answer"),
-    [
-        ("D", "#5D300", "#5QD", 0.1, 3.0, "*5QD300|"),
-        ("D", "#5D30", "#5QD", 10.0, 30.0, "*5QD30|"),
-        ("SD", "#5SD100", "#5QSD", 10.0, 30.0, "*5QSD100|"),
-        ("T", "#5D300T20000", "#5QT", 0.01, 30.0, "*5QT250|"),
-    ],
-)
-def test_a_servo_with_another_scale_takes_and_answers_its_own(
-    make_host, setting, command, query, scale_ratio, angle_deg, answer
-):
-    fault = Fault(kind=FaultKind.WRONG_SCALE, setting=setting, scale_ratio=scale_ratio)
-    host = make_host(faults=[fault])
-    host.say(command)
-    if setting == "SD":
-        host.say("#5D300")
-    host.wait_s(0.7)  # Too short for 30 deg at 10 deg/s, long enough at 100 deg/s.
-    assert host.horn_deg() == pytest.approx(angle_deg, abs=0.1)
-    assert host.ask(query) == answer
 
 
 def test_ramps_in_another_scale_are_as_much_steeper(make_host):
@@ -155,23 +177,6 @@ def test_a_late_reply_may_come_after_its_servo_was_asked_again(make_host):
     assert host.bus.read(host.now_ns) == b"*5QLED7\r*5QG1\r"
 
 
-def test_a_double_reply_comes_twice(make_host):
-    host = make_host(faults=[Fault(kind=FaultKind.DOUBLE_REPLY)])
-    assert host.ask("#5QG") == "*5QG1|*5QG1|"
-
-
-def test_only_the_named_servo_is_deaf(make_host, make_servo):
-    deaf = Fault(kind=FaultKind.DEAF, servo_id=6)
-    host = make_host(make_servo(5), make_servo(6), faults=[deaf])
-    assert [host.ask("#5QG"), host.ask("#6QG")] == ["*5QG1|", ""]
-
-
-def test_a_servo_may_answer_with_the_id_of_another(make_host, make_servo):
-    wrong = Fault(kind=FaultKind.WRONG_ID, servo_id=6, as_id=5)
-    host = make_host(make_servo(5), make_servo(6), faults=[wrong])
-    assert host.ask("#6QG") == "*5QG1|"
-
-
 def test_a_servo_that_resets_in_mid_move_stops_and_comes_back_limp(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.RESET, servo_id=5, at_s=1.0)])
     host.say("#5D900T3000")
@@ -182,44 +187,6 @@ def test_a_servo_that_resets_in_mid_move_stops_and_comes_back_limp(make_host):
     host.wait_s(1.0)
     assert host.ask("#5Q") == "*5Q1|"
     assert host.horn_deg() == stopped_deg
-
-
-def test_a_stuck_horn_comes_free_again(make_host):
-    host = make_host(faults=[Fault(kind=FaultKind.STUCK, at_s=0.1, until_s=1.0)])
-    host.wait_s(0.2)
-    host.say("#5D450")
-    host.wait_s(0.5)
-    assert host.horn_deg() == 0.0
-    assert host.ask("#5Q") in ("*5Q8|", "*5Q9|")
-    host.wait_s(1.5)
-    assert host.horn_deg() == pytest.approx(45.0, abs=0.01)
-
-
-def test_a_weak_motor_is_slower_while_it_is_weak(make_host):
-    host = make_host(faults=[Fault(kind=FaultKind.WEAK, speed_ratio=0.1, until_s=1.0)])
-    host.say("#5D900")
-    host.wait_s(0.9)
-    assert 20.0 < host.horn_deg() < 36.0
-    host.wait_s(1.0)
-    assert host.horn_deg() == pytest.approx(90.0, abs=0.01)
-
-
-def test_a_hot_servo_trips(make_host):
-    host = make_host(faults=[Fault(kind=FaultKind.HOT, at_s=0.5, temperature_c=90.0)])
-    host.say("#5D900")
-    host.wait_s(0.6)
-    assert [host.ask("#5Q"), host.ask("#5Q1"), host.ask("#5QT")] == ["*5Q10|", "*5Q3|", "*5QT900|"]
-
-
-def test_stored_settings_act_at_once_and_after_a_restart(make_host, make_servo):
-    stored = Fault(kind=FaultKind.STORED, servo_id=5, settings={"G": -1, "O": 50, "SD": 900})
-    host = make_host(make_servo(5, start_deg=20.0), make_servo(6), faults=[stored])
-    first = [host.ask(line) for line in ("#5QG", "#5QO", "#5QSD1", "#5QD", "#6QG")]
-    assert first == ["*5QG-1|", "*5QO50|", "*5QSD900|", "*5QD-150|", "*6QG1|"]
-    host.say("#5G1")
-    host.say("#5RESET")
-    host.wait_s(1.5)
-    assert [host.ask("#5QG"), host.ask("#5QD")] == ["*5QG-1|", "*5QD-150|"]
 
 
 def test_a_servo_back_from_the_factory_keeps_its_id_only(make_host, make_servo):
@@ -244,15 +211,6 @@ def test_an_exchanged_servo_has_its_own_number_and_settings(make_host, make_serv
     assert host.ask("#5QN") not in ("", serial)
 
 
-def test_servos_may_have_exchanged_their_ids(make_host, make_servo):
-    faults = [
-        Fault(kind=FaultKind.STORED, servo_id=5, settings={"ID": 6}),
-        Fault(kind=FaultKind.STORED, servo_id=6, settings={"ID": 5}),
-    ]
-    host = make_host(make_servo(5, start_deg=10.0), make_servo(6), faults=faults)
-    assert [host.ask("#5QD"), host.ask("#6QD")] == ["*5QD0|", "*6QD100|"]
-
-
 def test_two_servos_with_one_id_answer_together(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.TWIN, servo_id=5)], baud_bps=921600)
     said = {host.ask("#5QD") for _ in range(20)}
@@ -272,14 +230,6 @@ def test_the_supply_falls_and_comes_back(make_host):
         volts.append(round(int(host.ask("#5QV")[4:-1]) / 1000.0, 1))
         host.wait_s(0.5)
     assert volts == [12.0, 7.0, 12.0]
-
-
-def test_a_supply_below_the_least_of_the_servos_stops_them(make_host):
-    host = make_host(faults=[Fault(kind=FaultKind.LOW_VOLTAGE, at_s=0.2, supply_v=5.0)])
-    host.say("#5D900T2000")
-    host.wait_s(1.0)
-    assert [host.ask("#5Q"), host.ask("#5Q1")] == ["*5Q10|", "*5Q2|"]
-    assert host.horn_deg() < 20.0
 
 
 def test_a_simulated_servo_has_the_settings_of_its_robot_file(two_buses):

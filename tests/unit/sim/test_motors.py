@@ -9,8 +9,38 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from lss_motion.sim.physics import TICK_NS, Physics
+from tests.tables import titled
 
 CRISP = Physics(noise_deg=0.0, lag_s=1e-5, supply_ohm=0.0)
+DIALOGUES = {
+    "without IPE the filter steps once a command":
+        ({}, "#5EM0 #5FPC2 #5IPE0 #5D800 0.2s #5QDT=400 #5D800 #5QDT=600"),
+    "in EM0 nothing is timed and the status stays holding":
+        ({}, "#5EM0 #5FPC0 #5D900T5000 0.1s #5Q=6 0.3s #5QD=900"),
+    "45 degrees are reached within 800 ms": ({}, "#5D450 0.8s @45"),
+    "a wheel has its speed after half a second":
+        ({}, "#5WD900 0.5s @39.37 1s @129.37 #5QWD=900 #5QDT=*5QDT|"),
+    "so it has backwards": ({}, "#5WR-20 0.5s @-50.70 1s @-170.70 #5QWD=-1200 #5QDT=*5QDT|"),
+    "raw duty is free moving": ({}, "#5RDM500 #5Q=2 #5H 0.5s #5Q=6"),
+    "a horn that rests outside of its software limits is reported":
+        ({}, "#5D300 1s #5CLP200 #5Q=6 #5CLE1 #5Q=7"),
+    "a load pulls a held horn down where it has a lever, and costs 200 mA a degree":
+        ({"droop_deg": 2.0}, "#5QC=70 #5D0 1s @-2 #5QC=470 #5D900 2s @90"),
+    "two steps of a firmer hold droop less": ({"droop_deg": 2.0}, "#5AH6 #5D0 1s @-1.653"),
+    "backlash is lost motion where the direction turns":
+        ({"backlash_deg": 1.0}, "#5D300 2s @29.5 #5D295 1s @29.5 #5D280 1s @28.5"),
+    "a load keeps the horn at its end of the backlash": (
+        {"backlash_deg": 1.0, "droop_deg": 1.0, "level_deg": 30.0},
+        "#5D400 2s #5D300 2s @28.5",
+    ),
+    "a reset forgets the turns of a horn with backlash, too":
+        ({"backlash_deg": 1.0}, "#5D4800 3s #5RESET 1.3s @119.5"),
+}  # fmt: skip
+
+
+@titled(("servo", "dialogue"), DIALOGUES)
+def test_a_motor_does(make_host, make_servo, servo, dialogue):
+    make_host(make_servo(**servo), physics=Physics(noise_deg=0.0)).talk(dialogue)
 
 
 def trapezoid_deg(time_s, distance_deg, travel_deg_s, accel_deg_s2, decel_deg_s2):
@@ -127,26 +157,6 @@ def test_the_filter_follows_its_law_every_20_ms(make_host):
     assert seen_targets[1:3] == [180, 324]  # the maker's own example
 
 
-def test_without_ipe_the_filter_steps_once_a_command(make_host):
-    host = make_host(physics=CRISP)
-    for line in ("#5EM0", "#5FPC2", "#5IPE0", "#5D800"):
-        host.say(line)
-    host.wait_s(0.2)
-    assert host.ask("#5QDT") == "*5QDT400|"
-    host.say("#5D800")
-    assert host.ask("#5QDT") == "*5QDT600|"
-
-
-def test_in_em0_nothing_is_timed_and_the_status_stays_holding(make_host):
-    host = make_host(physics=CRISP)
-    for line in ("#5EM0", "#5FPC0", "#5D900T5000"):
-        host.say(line)
-    host.wait_s(0.1)
-    assert host.ask("#5Q") == "*5Q6|"
-    host.wait_s(0.3)
-    assert host.ask("#5QD") == "*5QD900|"
-
-
 def test_no_horn_is_faster_than_its_model(make_host):
     host = make_host()
     for line in ("#5EM0", "#5FPC0", "#5D1800"):
@@ -155,24 +165,6 @@ def test_no_horn_is_faster_than_its_model(make_host):
     angles_deg = host.bus.horn_deg(range(0, host.now_ns, TICK_NS))[:, 0]
     speed_deg_s = np.diff(angles_deg).max() / (TICK_NS / 1e9)
     assert 340.0 < speed_deg_s <= 360.0
-
-
-def test_a_maker_test_holds_45_degrees_within_800_ms(host):
-    host.say("#5D450")
-    host.wait_s(0.8)
-    assert host.horn_deg() == pytest.approx(45.0, abs=1.5)
-
-
-@pytest.mark.parametrize(("command", "speed_deg_s"), [("WD900", 90.0), ("WR-20", -120.0)])
-def test_a_wheel_reaches_its_speed_within_half_a_second(make_host, command, speed_deg_s):
-    host = make_host()
-    host.say(f"#5{command}")
-    host.wait_s(0.5)
-    first_deg = host.horn_deg()
-    host.wait_s(1.0)
-    assert host.horn_deg() - first_deg == pytest.approx(speed_deg_s, rel=1e-3)
-    assert host.ask("#5QWD") == f"*5QWD{speed_deg_s * 10:.0f}|"
-    assert host.ask("#5QDT") == "*5QDT|"
 
 
 def test_halt_holds_where_the_profile_is_and_limp_where_the_horn_is(make_host):
@@ -204,18 +196,6 @@ def test_the_status_follows_the_profile(make_host):
     assert seen == [3, 4, 5, 6]
 
 
-def test_a_load_pulls_a_held_horn_down_and_costs_current(make_host, make_servo):
-    host = make_host(make_servo(droop_deg=2.0))
-    assert host.ask("#5QC") == "*5QC70|"
-    host.say("#5D0")
-    host.wait_s(1.0)
-    assert host.horn_deg() == pytest.approx(-2.0, abs=0.01)
-    assert host.ask("#5QC") == "*5QC470|"  # 70 + 2 deg * 200 mA
-    host.say("#5D900")
-    host.wait_s(2.0)
-    assert host.horn_deg() == pytest.approx(90.0, abs=0.01)  # upright: no lever
-
-
 def test_a_stiffer_servo_trails_less(make_host):
     def behind_deg(stiffness):
         host = make_host(physics=replace(CRISP, lag_s=0.03))
@@ -227,14 +207,6 @@ def test_a_stiffer_servo_trails_less(make_host):
     assert behind_deg(0) == pytest.approx(3.0, abs=1e-3)
     assert behind_deg(2) == pytest.approx(3.0 / 1.1**2, abs=1e-3)
     assert behind_deg(-2) == pytest.approx(3.0 * 1.1**2, abs=1e-3)
-
-
-def test_a_firmer_hold_droops_less(make_host, make_servo):
-    host = make_host(make_servo(droop_deg=2.0))
-    host.say("#5AH6")  # two steps above the default of 4
-    host.say("#5D0")
-    host.wait_s(1.0)
-    assert host.horn_deg() == pytest.approx(-2.0 / 1.1**2, abs=0.01)
 
 
 def test_a_limited_duty_makes_em0_slower(make_host):
@@ -321,28 +293,6 @@ def test_what_happens_does_not_depend_on_how_often_time_is_told(
     assert watched == lonely
 
 
-def test_backlash_is_lost_motion_where_the_direction_turns(make_host, make_servo):
-    host = make_host(make_servo(backlash_deg=1.0))
-    host.say("#5D300")
-    host.wait_s(2.0)
-    assert host.horn_deg() == pytest.approx(29.5, abs=0.01)
-    host.say("#5D295")
-    host.wait_s(1.0)
-    assert host.horn_deg() == pytest.approx(29.5, abs=0.01)
-    host.say("#5D280")
-    host.wait_s(1.0)
-    assert host.horn_deg() == pytest.approx(28.5, abs=0.01)
-    assert host.bus.horn_deg([host.now_ns])[0, 0] == pytest.approx(28.5, abs=0.01)
-
-
-def test_a_load_keeps_the_horn_at_its_end_of_the_backlash(make_host, make_servo):
-    host = make_host(make_servo(backlash_deg=1.0, droop_deg=1.0, level_deg=30.0))
-    for target in ("#5D400", "#5D300"):
-        host.say(target)
-        host.wait_s(2.0)
-    assert host.horn_deg() == pytest.approx(30.0 - 1.0 - 0.5, abs=0.01)
-
-
 def test_asking_changes_nothing_of_where_backlash_leaves_the_horn(make_host, make_servo):
     def angles(ask_s):
         host = make_host(make_servo(backlash_deg=0.6))
@@ -358,14 +308,6 @@ def test_asking_changes_nothing_of_where_backlash_leaves_the_horn(make_host, mak
     assert np.abs(angles(0.1) - angles(0.0007)).max() < 1e-6
 
 
-def test_raw_duty_is_free_moving(host):
-    host.say("#5RDM500")
-    assert host.ask("#5Q") == "*5Q2|"
-    host.say("#5H")
-    host.wait_s(0.5)
-    assert host.ask("#5Q") == "*5Q6|"
-
-
 @pytest.mark.parametrize("supply_v", [5.5, 13.5])
 def test_a_voltage_outside_the_range_is_safe_mode_with_its_cause(make_host, supply_v):
     host = make_host(physics=Physics(noise_deg=0.0, supply_v=supply_v))
@@ -373,21 +315,3 @@ def test_a_voltage_outside_the_range_is_safe_mode_with_its_cause(make_host, supp
     host.wait_s(1.0)
     assert abs(host.horn_deg()) < 5.0
     assert [host.ask("#5Q"), host.ask("#5Q1")] == ["*5Q10|", "*5Q2|"]
-
-
-def test_a_horn_that_rests_outside_its_software_limits_is_reported(host):
-    host.say("#5D300")
-    host.wait_s(1.0)
-    host.say("#5CLP200")
-    assert host.ask("#5Q") == "*5Q6|"
-    host.say("#5CLE1")
-    assert host.ask("#5Q") == "*5Q7|"
-
-
-def test_a_reset_forgets_the_turns_of_a_horn_with_backlash_too(make_host, make_servo):
-    host = make_host(make_servo(backlash_deg=1.0))
-    host.say("#5D4800")
-    host.wait_s(3.0)
-    host.say("#5RESET")
-    host.wait_s(1.3)
-    assert host.horn_deg() == pytest.approx(119.5, abs=0.01)

@@ -10,6 +10,7 @@ from lss_motion.protocol.table import ReplyShape
 from lss_motion.robot.model import ServoModel
 from lss_motion.robot.servo_models import SERVO_MODELS, with_units
 from lss_motion.sim.physics import Physics
+from tests.tables import titled
 
 SETTINGS = [
     ("O", -24, 100), ("AR", 1200, 3600), ("SD", 900, 1800), ("SR", 12, 30), ("LED", 3, 5),
@@ -18,7 +19,53 @@ SETTINGS = [
 ]  # fmt: skip
 
 
+DIALOGUES = {
+    "no speed is set above the model's": "#5SD9999 #5QSD=3600",
+    "rpm and degrees are the same speed": "#5SR20 #5QSD=1200 #5SD600 #5QSR=10",
+    "the suffixes of speeds are session, session, stored, present, target":
+        "#5CSD1800 #5SD900 #5D3000T10000 1s #5QSD=900 #5QSD0=900 #5QSD1=1800 #5QSD2=300 "
+        "#5QSD3=300",
+    "a reset forgets the turns": "#5D4800 3s #5QD=4800 #5RS 1.3s #5QD=1200",
+    "an id counts after a reset": "#5CID9 #9QG= #5RESET 1.3s #9QID=9 #5QID=",
+    "a rate is answered at once and counts after a reset": "#5CB9600 #5QB=9600 #5RESET 1.3s #5QB=",
+    "the first position counts after a reset":
+        "#5QFD=DIS #5CFD300 #5QFD=300 #5RESET 2.5s #5QD=300 #5Q=6 #5CFD #5QFD=DIS",
+    "the two first positions overwrite each other":
+        "#5CFD300 #5CFP1600 #5QFD=DIS #5QFP=1600 #5RESET 2s #5Q=1",
+    "a new maximum speed counts from the next move on":
+        "#5SD900 #5D3000 #5QSD3=900 #5SD300 #5D3000 #5QSD3=300",
+    "a default needs a confirmation at once, and resets the id, too":
+        "#5CLED3 #5DEFAULT #5QG=1 #5CONFIRM #5QLED1=3 #5DEFAULT #5CONFIRM #0QG= 1.3s #5QG= "
+        "#0QLED1=7",
+    "in RC mode a servo is deaf after a reset": "#5CRC1 #5QG=1 #5RESET 25s #5QG=",
+    "in RC mode the first position is not taken": "#5CFD300 #5CRC1 #5RESET 3s @0",
+    "CRC with any other value stays in smart mode": "#5CRC1 #5CRC* #5RESET 1.3s #5QG=1",
+    "a relative move starts where the horn is": "#5D300 1s #5MD123 1s #5QD=423",
+    "pulses span the angular range and are clamped":
+        "#5P2334 2s #5QD=751 #5QP=2334 #5P9999 2s #5QD=900 #5D1200 2s #5QP=-2500 #5D-1200 2s "
+        "#5QP=-500",
+    "modifiers of speed set the speed of travel, 180 degrees being 2000 us":
+        "#5D1800SD200 #5QSD3=200 #5P500S100 #5QSD3=90",
+    "a modifier that does not belong does nothing": "#5D1800S100 #5QSD3=3600",
+    "gyre and origin turn and shift what the host sees":
+        "#5D300 1s #5G-1 #5QD=-300 #5O100 #5QD=-200 #5D0 1s #5QD=0 #5G1 #5O0 #5QD=100",
+    "a turned gyre turns speeds, too": "#5G-1 #5WD600 1s #5QWD=600 @-57.28",
+    "software limits bound every target": "#5CLP200 #5CLN-100 #5CLE1 #5D900 1s #5QD=200",
+}  # fmt: skip
+PRO_DIALOGUES = {
+    "a PRO counts hundredths": "#5D4567T500 2s @45.67 #5QD=4567",
+    "names its id its own way": "#254QID=*254QID5| #5QMS=LSS-P-S1",
+    "without a target answers the last one": "#5QDT=0 #5D3000 #5QDT=3000 #5L #5QDT=3000",
+    "measures its speed in hundredths":
+        "#5WD30 1s #5QCS=3000 #5QWD=30 #5QSD2=3000 #5WD-30 1s #5QCS=-3000",
+    "blinks as it is configured": "#5QLB=0 #5CLB12 #5QLB=12",
+}  # fmt: skip
 PRO = SERVO_MODELS["LSS-P-S1"]
+
+
+@titled("dialogue", DIALOGUES)
+def test_a_servo_answers(host, dialogue):
+    host.talk(dialogue)
 
 
 @pytest.mark.parametrize(("name", "configured", "session"), SETTINGS)
@@ -31,27 +78,6 @@ def test_every_setting_is_kept_for_the_session_or_for_ever(host, name, configure
     host.say("#5RESET")
     host.wait_s(1.3)
     assert host.ask(f"#5Q{name}") == f"*5Q{name}{configured}|"
-
-
-def test_rpm_and_degrees_are_the_same_speed(host):
-    host.say("#5SR20")
-    assert host.ask("#5QSD") == "*5QSD1200|"
-    host.say("#5SD600")
-    assert host.ask("#5QSR") == "*5QSR10|"
-
-
-def test_no_speed_is_set_above_the_models(host):
-    host.say("#5SD9999")
-    assert host.ask("#5QSD") == "*5QSD3600|"
-
-
-def test_the_speed_suffixes_answer_session_config_present_and_target(host):
-    host.say("#5CSD1800")
-    host.say("#5SD900")
-    host.say("#5D3000T10000")
-    host.wait_s(1.0)
-    answers = [host.ask(f"#5QSD{suffix}") for suffix in ("", 0, 1, 2, 3)]
-    assert answers == ["*5QSD900|", "*5QSD900|", "*5QSD1800|", "*5QSD300|", "*5QSD300|"]
 
 
 def test_reset_is_deaf_for_a_second_and_a_quarter_then_limp(host):
@@ -74,165 +100,10 @@ def test_reset_forgets_a_move_that_had_not_begun(make_host):
     assert host.horn_deg() == 0.0
 
 
-def test_reset_forgets_the_turns(host):
-    host.say("#5D4800")
-    host.wait_s(3.0)
-    assert host.ask("#5QD") == "*5QD4800|"
-    host.say("#5RS")
-    host.wait_s(1.3)
-    assert host.ask("#5QD") == "*5QD1200|"
-
-
-def test_an_id_takes_effect_after_reset(host):
-    host.say("#5CID9")
-    assert host.ask("#9QG") == ""
-    host.say("#5RESET")
-    host.wait_s(1.3)
-    assert host.ask("#9QID") == "*9QID9|"
-    assert host.ask("#5QID") == ""
-
-
-def test_a_rate_is_answered_at_once_and_taken_after_reset(host):
-    host.say("#5CB9600")
-    assert host.ask("#5QB") == "*5QB9600|"
-    host.say("#5RESET")
-    host.wait_s(1.3)
-    assert host.ask("#5QB") == ""
-
-
 def test_a_rate_that_the_firmware_does_not_know_is_not_taken(make_host):
     host = make_host(firmware=368)
     host.say("#5CB921600")
     assert host.ask("#5QB") == "*5QB115200|"
-
-
-def test_the_first_position_is_taken_after_reset(host):
-    assert host.ask("#5QFD") == "*5QFDDIS|"
-    host.say("#5CFD300")
-    assert host.ask("#5QFD") == "*5QFD300|"
-    host.say("#5RESET")
-    host.wait_s(2.5)
-    assert host.ask("#5QD") == "*5QD300|"
-    assert host.ask("#5Q") == "*5Q6|"
-    host.say("#5CFD")
-    assert host.ask("#5QFD") == "*5QFDDIS|"
-
-
-def test_the_two_first_positions_overwrite_each_other(host):
-    host.say("#5CFD300")
-    host.say("#5CFP1600")
-    assert [host.ask("#5QFD"), host.ask("#5QFP")] == ["*5QFDDIS|", "*5QFP1600|"]
-    host.say("#5RESET")
-    host.wait_s(2.0)
-    assert host.ask("#5Q") == "*5Q1|"
-
-
-def test_a_new_maximum_speed_counts_from_the_next_move_on(host):
-    for speed in (900, 300):
-        host.say(f"#5SD{speed}")
-        host.say("#5D3000")
-        assert host.ask("#5QSD3") == f"*5QSD{speed}|"
-
-
-def test_default_needs_confirm_at_once(host):
-    host.say("#5CLED3")
-    host.say("#5DEFAULT")
-    assert host.ask("#5QG") == "*5QG1|"
-    host.say("#5CONFIRM")
-    assert host.ask("#5QLED1") == "*5QLED3|"
-    host.say("#5DEFAULT")
-    host.say("#5CONFIRM")
-    assert host.ask("#0QG") == ""
-    host.wait_s(1.3)
-    assert host.ask("#5QG") == "", "all values are reset, and the id is one of them"
-    assert host.ask("#0QLED1") == "*0QLED7|"
-
-
-def test_rc_mode_is_deaf_after_reset(host):
-    host.say("#5CRC1")
-    assert host.ask("#5QG") == "*5QG1|"
-    host.say("#5RESET")
-    host.wait_s(25.0)
-    assert host.ask("#5QG") == ""
-
-
-def test_in_rc_mode_the_first_position_is_not_taken(host):
-    for line in ("#5CFD300", "#5CRC1", "#5RESET"):
-        host.say(line)
-    host.wait_s(3.0)
-    assert host.horn_deg() == 0.0
-
-
-def test_crc_with_any_other_value_stays_in_smart_mode(host):
-    host.say("#5CRC1")
-    host.say("#5CRC*")
-    host.say("#5RESET")
-    host.wait_s(1.3)
-    assert host.ask("#5QG") == "*5QG1|"
-
-
-def test_a_relative_move_starts_from_where_the_horn_is(host):
-    host.say("#5D300")
-    host.wait_s(1.0)
-    host.say("#5MD123")
-    host.wait_s(1.0)
-    assert host.ask("#5QD") == "*5QD423|"
-
-
-def test_pulses_span_the_angular_range_and_are_clamped(host):
-    host.say("#5P2334")
-    host.wait_s(2.0)
-    assert host.ask("#5QD") == "*5QD751|"
-    assert host.ask("#5QP") == "*5QP2334|"
-    host.say("#5P9999")
-    host.wait_s(2.0)
-    assert host.ask("#5QD") == "*5QD900|"
-    for angle, answer in ((1200, "*5QP-2500|"), (-1200, "*5QP-500|")):
-        host.say(f"#5D{angle}")
-        host.wait_s(2.0)
-        assert host.ask("#5QP") == answer
-
-
-def test_the_speed_modifiers_set_the_travel_speed(host):
-    host.say("#5D1800SD200")
-    assert host.ask("#5QSD3") == "*5QSD200|"
-    host.say("#5P500S100")
-    assert host.ask("#5QSD3") == "*5QSD90|"  # 100 us/s of 2000 us over 180 degrees
-
-
-def test_a_modifier_that_does_not_belong_does_nothing(host):
-    host.say("#5D1800S100")
-    assert host.ask("#5QSD3") == "*5QSD3600|"
-
-
-def test_a_turned_gyre_turns_speeds_too(host):
-    host.say("#5G-1")
-    host.say("#5WD600")
-    host.wait_s(1.0)
-    assert host.horn_deg() < -50.0
-    assert host.ask("#5QWD") == "*5QWD600|"
-
-
-def test_gyre_and_origin_turn_and_shift_what_the_host_sees(host):
-    host.say("#5D300")
-    host.wait_s(1.0)
-    host.say("#5G-1")
-    assert host.ask("#5QD") == "*5QD-300|"
-    host.say("#5O100")
-    assert host.ask("#5QD") == "*5QD-200|"
-    host.say("#5D0")
-    host.wait_s(1.0)
-    assert host.ask("#5QD") == "*5QD0|"
-    host.say("#5G1")
-    host.say("#5O0")
-    assert host.ask("#5QD") == "*5QD100|"
-
-
-def test_software_limits_bound_every_target(host):
-    for line in ("#5CLP200", "#5CLN-100", "#5CLE1", "#5D900"):
-        host.say(line)
-    host.wait_s(1.0)
-    assert host.ask("#5QD") == "*5QD200|"
 
 
 def test_identity_is_answered(make_host):
@@ -275,24 +146,9 @@ def pro_host(make_host, make_servo):
     return make_host(make_servo(model=PRO), firmware=780)
 
 
-def test_a_pro_counts_hundredths(pro_host):
-    pro_host.say("#5D4567T500")
-    pro_host.wait_s(2.0)
-    assert pro_host.horn_deg() == pytest.approx(45.67, abs=1e-3)
-    assert pro_host.ask("#5QD") == "*5QD4567|"
-
-
-def test_a_pro_names_its_id_its_own_way(pro_host):
-    assert pro_host.ask("#254QID") == "*254QID5|"
-    assert pro_host.ask("#5QMS") == "*5QMSLSS-P-S1|"
-
-
-def test_a_pro_without_a_target_answers_the_last_one(pro_host):
-    assert pro_host.ask("#5QDT") == "*5QDT0|"
-    pro_host.say("#5D3000")
-    assert pro_host.ask("#5QDT") == "*5QDT3000|"
-    pro_host.say("#5L")
-    assert pro_host.ask("#5QDT") == "*5QDT3000|"
+@titled("dialogue", PRO_DIALOGUES)
+def test_a_pro_answers(pro_host, dialogue):
+    pro_host.talk(dialogue)
 
 
 def test_a_newer_pro_has_fewer_states(make_host, make_servo, pro_host):
@@ -302,25 +158,6 @@ def test_a_newer_pro_has_fewer_states(make_host, make_servo, pro_host):
     older = make_host(make_servo(model=PRO), firmware=779)
     older.say("#5H")
     assert older.ask("#5Q") == "*5Q6|"
-
-
-def test_a_pro_measures_its_speed_in_hundredths(pro_host):
-    pro_host.say("#5WD30")
-    pro_host.wait_s(1.0)
-    assert [pro_host.ask(f"#5{word}") for word in ("QCS", "QWD", "QSD2")] == [
-        "*5QCS3000|",
-        "*5QWD30|",
-        "*5QSD3000|",
-    ]
-    pro_host.say("#5WD-30")
-    pro_host.wait_s(1.0)
-    assert pro_host.ask("#5QCS") == "*5QCS-3000|"
-
-
-def test_a_pro_blinks_as_it_is_configured(pro_host):
-    assert pro_host.ask("#5QLB") == "*5QLB0|"
-    pro_host.say("#5CLB12")
-    assert pro_host.ask("#5QLB") == "*5QLB12|"
 
 
 @pytest.mark.parametrize(
