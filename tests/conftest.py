@@ -11,16 +11,17 @@ from hypothesis import HealthCheck, settings
 from lss_motion.files import cache
 
 settings.register_profile(
-    "gate",
+    "many",
     deadline=None,
     derandomize=True,
     print_blob=True,
     suppress_health_check=[HealthCheck.too_slow],
 )
+settings.register_profile("quick", parent=settings.get_profile("many"), max_examples=12)
 settings.register_profile(
-    "search", parent=settings.get_profile("gate"), derandomize=False, max_examples=2000
+    "search", parent=settings.get_profile("many"), derandomize=False, max_examples=2000
 )
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
+settings.load_profile("quick")  # Another one: pytest --hypothesis-profile=many
 
 
 # Tests that are started in the background have these ignored, here and in every child.

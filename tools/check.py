@@ -1,11 +1,16 @@
 """The gate: every check that a commit must pass, in one command.
 
-tools/run tools/check.py            all of it
+tools/run tools/check.py            the quick tier, for every commit: under 5 minutes on two cores
+tools/run tools/check.py --all      all tiers, before a change is published: at most 20
 tools/run tools/check.py lint types only these steps
+
+The slow tier has the tests that are marked `slow`, more examples of each property, the commands of
+the guides, and some shows of the campaign.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import re
@@ -31,12 +36,24 @@ ASKING = ("lss-play", "lss-motion identify")
 COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "tools/weekend.py")
 """Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
+SLOW_STEPS = {"guides", "campaign"}
+ALL_TESTS = ("-m", "", "--hypothesis-profile=many")
+"""Tests of all tiers, and as many examples of each property as `tests/conftest.py` has for them."""
+CAMPAIGN = ("tools/fuzz.py", "--seeds", "200", "--all-kinds", "--judge", "both", "--jobs", "2")
 ALONE_MAX = 4
 """Failed tests that are run once more, alone. More at once are not the fault of a busy machine."""
 
 
-def main(names: list[str]) -> int:
-    """Run the named steps, or all; return 1 if one failed."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the named steps, or a tier; return 1 if one failed."""
+    parser = argparse.ArgumentParser(
+        prog="tools/check.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("names", nargs="*", metavar="STEP", help="only these steps")
+    parser.add_argument("--all", action="store_true", help="all tiers, not the quick one alone")
+    arguments = parser.parse_args(argv)
     # Hundreds of processes import the package. Without bytecode each one compiles it again.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     # The steps of a group run at the same time; the tests have both processors of a small machine.
@@ -49,22 +66,29 @@ def main(names: list[str]) -> int:
             "imports": lambda: _run("lint-imports", "--no-cache") and _obeys(import_cycles),
             "size": lambda: _obeys(sizes),
             "prose": lambda: _obeys(prose, citations),
+            "figures": _figures,
             "collect": lambda: _run("pytest", "-n0", "--collect-only", "-qq"),
         },
-        {"tests": _tests},
+        {"tests": lambda: _tests(*(ALL_TESTS if arguments.all else ()))},
         {"readme": _readme, "guides": _guides},
-        {"figures": _figures},
+        {"campaign": lambda: _run(sys.executable, *CAMPAIGN)},
     ]
     known = [name for steps in groups for name in steps]
-    if unknown := set(names) - set(known):
-        print(f"no such step: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
-        return 2
+    if unknown := set(arguments.names) - set(known):
+        parser.error(f"no such step: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+    chosen = set(arguments.names or known)
+    if not arguments.names and not arguments.all:
+        chosen -= SLOW_STEPS
+    started = time.monotonic()
     is_good = True
     for steps in groups:
-        chosen = [name for name in steps if not names or name in names]
+        names = [name for name in steps if name in chosen]
         with ThreadPoolExecutor() as pool:
-            results = list(pool.map(_step, chosen, [steps[name] for name in chosen]))
+            results = list(pool.map(_step, names, [steps[name] for name in names]))
         is_good = is_good and all(results)
+    if not arguments.names:
+        tier = "all tiers" if arguments.all else "quick tier"
+        print(f"{'ok    ' if is_good else 'FAILED'} {tier} ({time.monotonic() - started:.0f} s)")
     return 0 if is_good else 1
 
 
@@ -83,13 +107,14 @@ def _run(*command: str) -> bool:
     return done.returncode == 0
 
 
-def _tests() -> bool:
+def _tests(*options: str) -> bool:
     """Run the README's test command; run up to `ALONE_MAX` failed tests once more, alone.
 
     Tests with real clocks and processes share the machine with everything else that it does. A test
     that fails alone, too, has failed; one that passes then is named, so that it can be looked at.
     """
-    done = subprocess.run(("pytest",), cwd=ROOT, capture_output=True, text=True, check=False)
+    command = ("pytest", *options)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     print("\n".join(done.stdout.strip().splitlines()[-1:]))
     if done.returncode == 0:
         return True
@@ -98,7 +123,7 @@ def _tests() -> bool:
     if done.returncode != 1 or not 0 < len(failed) <= ALONE_MAX:
         return False
     print("Once more, alone:", *failed, sep="\n  ")
-    return _run("pytest", "-n0", *failed)
+    return _run(*command, "-n0", *failed)
 
 
 def _obeys(*rules: Callable[[Path], list[str]]) -> bool:
@@ -194,4 +219,4 @@ def _running(words: list[str], folder: Path) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

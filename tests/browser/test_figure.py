@@ -15,6 +15,8 @@ from lss_motion.robot.load import load_robot
 from lss_motion.show.gait.figure import figure_of_legs
 from lss_motion.show.gait.load import load_gait
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 PLACED = """
 (async () => {

@@ -15,6 +15,8 @@ from running_studio import START
 
 pytest.importorskip("zenoh", reason="needs the extra `network`")
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 
 

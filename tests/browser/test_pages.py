@@ -92,6 +92,7 @@ def painted(layer, colour):
     }})()"""
 
 
+@pytest.mark.slow
 def test_a_file_that_changes_is_shown_and_an_error_stands_at_its_line(studio, opened, tmp_path):
     shutil.copytree(EXAMPLES / "robots", tmp_path / "robots")
     show = tmp_path / "wave.yaml"
@@ -112,6 +113,7 @@ def test_a_file_that_changes_is_shown_and_an_error_stands_at_its_line(studio, op
         assert page.run("document.querySelector('.banner-warn') === null")
 
 
+@pytest.mark.slow
 def test_only_one_client_operates_and_taking_over_is_a_question(wave, opened):
     with opened(wave) as first, opened(wave) as second:
         first.click(".operator button")
@@ -130,6 +132,7 @@ def test_only_one_client_operates_and_taking_over_is_a_question(wave, opened):
         second.click(".operator button.plain:last-child")
 
 
+@pytest.mark.slow
 def test_a_device_without_a_key_learns_that_it_cannot_stop_and_pairs_by_the_code(studio, opened):
     trouble = "document.getElementById('trouble')"
     with (
@@ -162,6 +165,7 @@ def test_a_device_without_a_key_learns_that_it_cannot_stop_and_pairs_by_the_code
         desk.wait("document.body.dataset.latched === 'true'")
 
 
+@pytest.mark.slow
 def test_the_curves_of_the_page_are_those_of_the_plan(wave, opened):
     """The same instants in Python and JavaScript: angle, speed and acceleration."""
     sequence = lss.load_sequence(EXAMPLES / "wave.yaml")
@@ -184,6 +188,7 @@ def test_the_curves_of_the_page_are_those_of_the_plan(wave, opened):
         assert np.abs(np.array(found[order]) - expected).max() < allowed, order
 
 
+@pytest.mark.slow
 def test_strangers_are_refused_by_the_running_server(wave):
     def asked(path, **headers):
         request = urllib.request.Request(f"{wave.origin}{path}", headers=headers)
@@ -219,6 +224,7 @@ def flood(place, key):
             socket.recv(timeout=10.0)
 
 
+@pytest.mark.slow
 def test_a_long_show_is_drawn_by_what_is_in_sight(wave, opened):
     """Ten minutes, 18 joints, 1,200 keys: what a frame draws depends on the screen."""
     with opened(wave) as page:

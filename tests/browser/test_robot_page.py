@@ -11,6 +11,8 @@ import pytest
 
 from lss_motion.robot.load import load_robot
 
+pytestmark = pytest.mark.slow
+
 CONTROLS = {"button", "textbox", "combobox", "meter", "tab", "slider", "checkbox", "link", "img"}
 FIGURE = """\
 figure:

@@ -6,6 +6,8 @@ import os
 import re
 import signal
 
+import pytest
+
 MOVE = re.compile(rb"#\d+D")
 SAFE = b"#254H\r"
 
@@ -64,6 +66,7 @@ def test_estop_with_the_planner_frozen_then_armed_again(studio, opened, two):
         page.wait("document.querySelector('.banner-stop') === null")
 
 
+@pytest.mark.slow
 def test_stop_from_a_second_client_that_does_not_operate(studio, opened, two):
     show, bus = two
     with studio(show) as own, opened(own) as page:
@@ -78,6 +81,7 @@ def test_stop_from_a_second_client_that_does_not_operate(studio, opened, two):
             page.wait("document.querySelector('.word').textContent.startsWith('stopped')")
 
 
+@pytest.mark.slow
 def test_estop_with_the_server_frozen_goes_the_other_way(studio, opened, two):
     show, bus = two
     with studio(show) as own, opened(own) as page:
@@ -93,6 +97,7 @@ def test_estop_with_the_server_frozen_goes_the_other_way(studio, opened, two):
         page.wait("document.querySelector('.banner-bad') === null")
 
 
+@pytest.mark.slow
 def test_a_server_that_is_killed_ends_the_show_by_its_rule(studio, opened, two):
     show, bus = two
     with studio(show, "--on-operator-lost", "stop") as own, opened(own) as page:

@@ -113,6 +113,7 @@ def test_a_host_at_another_rate_gets_no_answer(tmp_path):
             assert ask(port, "#5QG") == "*5QG1\r"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("baud_bps", [57600, 250000])
 def test_a_servo_answers_at_the_rate_that_it_was_set_to_after_its_reset(tmp_path, baud_bps):
     link = tmp_path / "lss"
@@ -152,6 +153,7 @@ def test_a_link_that_a_killed_simulator_left_is_replaced(tmp_path):
     assert not link.is_symlink()
 
 
+@pytest.mark.slow
 def test_no_client_is_served_faster_than_the_line(tmp_path):
     """18 servos, 20 rounds of QD, each asked when the last has answered.
 
@@ -170,6 +172,7 @@ def test_no_client_is_served_faster_than_the_line(tmp_path):
     assert taken_s >= line_s + 18 * rounds * 0.2e-3
 
 
+@pytest.mark.slow
 def test_the_speed_of_a_wheel_is_reached_within_half_a_second(tmp_path):
     link = tmp_path / "lss"
     with served(make_robot(), link), opened(link) as port:
@@ -218,6 +221,7 @@ ONLY_SESSION = {
 """Settings that a session forgets."""
 
 
+@pytest.mark.slow
 def test_every_setting_of_the_session_and_of_the_memory_is_read_back(tmp_path):
     told = {"CLB": "QLB", "SCSL": "QCSL"}
     table = LSS_TABLE.rows
@@ -279,6 +283,7 @@ def test_an_unplugged_port_is_gone_and_comes_back_behind_the_same_link(tmp_path)
         assert [text.split(":")[1][:10] for text in said[1:]] == [" unplugged", f" {link}"[:10]]
 
 
+@pytest.mark.slow
 def test_a_client_that_floods_the_port_is_slowed(tmp_path):
     link = tmp_path / "lss"
     with served(make_robot(baud_bps=9600), link), opened(link, 9600) as port:
@@ -289,6 +294,7 @@ def test_a_client_that_floods_the_port_is_slowed(tmp_path):
         assert time.monotonic() - started_s >= 1405 * 10 / 9600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_without_a_trace(tmp_path, number):
     link = tmp_path / "lss"

@@ -15,6 +15,8 @@ from metadata_hook import portable, urls
 
 import lss_motion
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

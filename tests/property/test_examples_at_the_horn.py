@@ -66,6 +66,7 @@ def example():
     return compiled
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), [("wave", 0), *((name, 1) for name in NAMES)])
 def test_whatever_somebody_does_no_horn_breaks_a_limit(example, name, seed):
     robot, program = example(name)

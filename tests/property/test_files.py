@@ -8,7 +8,7 @@ import tempfile
 from itertools import accumulate
 from pathlib import Path
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -102,7 +102,6 @@ def sequences(draw: st.DrawFn) -> tuple[Sequence, Robot]:
     return sequence, robot_of([*joint_names, *others])
 
 
-@settings(deadline=None)
 @given(sequences())
 def test_a_written_sequence_reads_back_as_the_same(made: tuple[Sequence, Robot]) -> None:
     sequence, robot = made
@@ -130,7 +129,6 @@ def read_or_refuse(content: bytes) -> None:
             assert refusal is None or (refusal.reason and refusal.path is not None)
 
 
-@settings(deadline=None)
 @given(st.binary() | st.text().map(str.encode))
 def test_no_bytes_do_worse_than_an_input_error(content: bytes) -> None:
     read_or_refuse(content)
@@ -146,7 +144,6 @@ def damaged(draw: st.DrawFn) -> bytes:
     return text.encode()
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(damaged())
 def test_a_damaged_file_does_no_worse_than_an_input_error(content: bytes) -> None:
     read_or_refuse(content)
@@ -186,7 +183,6 @@ def nearly(draw: st.DrawFn) -> dict[str, object]:
     return whole
 
 
-@settings(deadline=None)
 @given(nearly())
 def test_odd_values_in_the_right_places_do_no_worse_than_an_input_error(
     content: dict[str, object],
@@ -194,7 +190,6 @@ def test_odd_values_in_the_right_places_do_no_worse_than_an_input_error(
     read_or_refuse(json.dumps(content).encode())
 
 
-@settings(deadline=None)
 @given(nearly() | values)
 def test_a_motion_file_is_read_or_refused_whatever_it_holds(content: object) -> None:
     try:

@@ -108,6 +108,7 @@ def assert_walks_and_stands(gait, robot):
     np.testing.assert_allclose(first, last, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(STEERED))
 def test_whatever_is_steered_breaks_no_limit_and_ends_in_a_stable_stand(seed):
     random = np.random.default_rng(seed)
@@ -120,7 +121,7 @@ def test_whatever_is_steered_breaks_no_limit_and_ends_in_a_stable_stand(seed):
     assert_walks_and_stands(steered(gait, commands), DOG if is_dog else ROBOT)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings().max_examples // 8)
 @given(
     commands=st.lists(
         st.tuples(st.floats(-50, 50), st.floats(-40, 40), st.floats(-15, 15), st.integers(1, 3)),

@@ -203,7 +203,7 @@ def test_the_seed_of_every_format_is_whole_and_recognised_as_that_alone(reader: 
 
 
 @pytest.mark.parametrize("reader", by_name())
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_no_damage_does_worse_than_a_refusal(reader: Reader, data: st.DataObject) -> None:
     fuzz_one(reader, data.draw(damaged(SEEDS[reader.name])))
@@ -216,7 +216,6 @@ def test_no_end_of_a_file_does_worse_than_a_refusal(reader: Reader) -> None:
         fuzz_one(reader, data[:length])
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode()))
 def test_no_bytes_at_all_do_worse_than_a_refusal(data: bytes) -> None:
     for reader in READERS:
@@ -226,7 +225,6 @@ def test_no_bytes_at_all_do_worse_than_a_refusal(data: bytes) -> None:
 curves_deg = st.lists(st.floats(-90.0, 90.0), min_size=2, max_size=80)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     curves_deg,
     st.sampled_from([Interpolation.SPLINE, Interpolation.SMOOTH, Interpolation.LINEAR]),
@@ -249,7 +247,6 @@ def test_any_recording_is_reduced_within_the_tolerance(
     assert np.abs(error_deg).max() <= tolerance_deg + 2.0 * ROUNDING_DEG
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.floats(-180.0, 180.0), min_size=1, max_size=20),
     st.sampled_from([1.0, 24.0, 29.97, 100.0]),

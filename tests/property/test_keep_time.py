@@ -91,6 +91,7 @@ def rms(deviation_deg: np.ndarray) -> float:
     return float(np.sqrt(np.mean(deviation_deg**2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(MOTIONS), *RELENTLESS])
 def test_the_deviation_is_within_a_hundredth_of_the_least(seed):
     sequence, robot = any_motion(seed)
@@ -111,6 +112,7 @@ def test_the_deviation_is_within_a_hundredth_of_the_least(seed):
     assert (np.abs(own) <= reported_deg).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(MOTIONS, MOTIONS + 12))
 def test_exact_keys_are_met_or_refused_as_on_the_fine_grid(seed):
     sequence, robot = any_motion(seed)

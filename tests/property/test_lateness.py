@@ -73,6 +73,7 @@ def late_of(trajectory: Trajectory) -> list[float]:
     return [mark.planned_s - (mark.authored_s or 0.0) for mark in trajectory.marks]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, SHOWS, 6))
 def test_lateness_is_the_least_holds_are_kept_and_nothing_is_early(first: int) -> None:
     hard = HARD if first == 0 else ()
@@ -98,6 +99,7 @@ def test_a_show_of_many_joints_that_is_late_again_and_again_is_never_early() -> 
     assert trajectory.duration_s == pytest.approx(45.0, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_every_anchor_that_a_fine_grid_can_meet_is_met() -> None:
     """Keys that are late at the usual pace, but not at that of anchors, become anchors."""
     met = 0

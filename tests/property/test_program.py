@@ -37,8 +37,6 @@ from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.units import line_time_ns
 
 LAWS = settings(
-    max_examples=60,
-    deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 ST1 = SERVO_MODELS["LSS-ST1"]
@@ -373,7 +371,7 @@ def test_stops_where_a_long_reference_turns_cost_next_to_nothing(monkeypatch):
     assert len(moves) <= len(whole) * 1.03
 
 
-@settings(LAWS, max_examples=20)
+@settings(LAWS, max_examples=settings().max_examples // 4)
 @given(references(), st.sampled_from([0.1, 0.2, 0.4]))
 def test_half_as_much_tolerance_again_never_needs_more_moves(reference, tolerance_deg):
     """The fit is greedy, so that a little more may cost a move; this much never more than one."""
@@ -497,7 +495,7 @@ def check_limits(joint, program, start_s, _position_deg, speed_deg_s, accel_deg_
     assert np.abs(accel_deg_s2).max() <= joint.accel_max_deg_s2 + 1e-6
 
 
-@settings(LAWS, max_examples=25)
+@settings(LAWS, max_examples=settings().max_examples // 4)
 @given(shows())
 def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(show):
     sequence, robot = show

@@ -22,8 +22,7 @@ from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.units import line_time_ns, us_from_s
 
 LAWS = settings(
-    max_examples=25,
-    deadline=None,
+    max_examples=settings().max_examples // 4,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 FAST_BPS = (115_200, 230_400, 500_000, 921_600)
@@ -132,7 +131,7 @@ def show_of(robot, seed):
     return Sequence(name="crowd", keyframes=tuple(frames))
 
 
-@settings(LAWS, max_examples=10)
+@settings(LAWS, max_examples=settings().max_examples // 8)
 @given(seeds, st.sampled_from([2, 12, 30]), st.lists(st.sampled_from(FAST_BPS), min_size=2))
 def test_a_higher_baud_rate_never_needs_more_commands(seed, count, rates):
     found = []
@@ -149,7 +148,7 @@ def test_a_higher_baud_rate_never_needs_more_commands(seed, count, rates):
         assert commands == sorted(commands, reverse=True)
 
 
-@settings(LAWS, max_examples=10)
+@settings(LAWS, max_examples=settings().max_examples // 8)
 @given(seeds, st.floats(0.1, 1.0), st.floats(1.0, 3.0))
 def test_a_larger_tolerance_needs_hardly_ever_more_commands(seed, tolerance_deg, ratio):
     """`schedule.candidates` explains the exceptions. Three times the tolerance needs fewer."""

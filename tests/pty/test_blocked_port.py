@@ -85,6 +85,7 @@ def start(*words):
     return process
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
@@ -110,6 +111,7 @@ def test_a_port_that_takes_no_bytes_ends_every_command_with_its_reason(blocked_p
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 6])
 def test_ctrl_c_ends_a_show_whose_port_takes_no_bytes(blocked_port, count):
     with blocked_port(4.0):

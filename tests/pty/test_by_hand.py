@@ -145,6 +145,7 @@ def test_poses_and_a_stretch_that_a_hand_shows_become_a_sequence(tmp_path):
     assert 1.0 <= recorded[-1].at_s - (rest.at_s + rest.hold_s) < 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_leaves_servos_that_hold_and_a_file_of_what_was_shown(tmp_path, number, code):
     out = tmp_path / "shown.yaml"
@@ -163,6 +164,7 @@ def test_a_signal_leaves_servos_that_hold_and_a_file_of_what_was_shown(tmp_path,
     assert "Traceback" not in someone.said
 
 
+@pytest.mark.slow
 def test_a_port_that_is_lost_while_recording_loses_nothing_that_was_shown(tmp_path):
     out = tmp_path / "shown.yaml"
     with simulated(tmp_path, SWAY) as (_, unplug), person(tmp_path, "record", "-o", out) as someone:

@@ -21,7 +21,7 @@ from tests.pty.test_play import (
     wait_for_question,
 )
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 FEW_DEG = 5.5
 

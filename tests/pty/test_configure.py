@@ -7,7 +7,7 @@ import pytest
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
 from lss_motion.sim.faults import Fault, FaultKind
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 ROBOT = """
 robot: pair

@@ -37,6 +37,7 @@ def received(bus):
     return [line.rstrip(b"\r") for _, line in bus.lines]
 
 
+@pytest.mark.slow
 def test_a_servo_is_measured_and_its_file_says_so(on_terminal, servo, lss_motion, robot):
     physics = Physics(lag_s=0.045, t_law="exact")
     with on_terminal(servo(1), physics=physics) as bus:
@@ -54,6 +55,7 @@ def test_a_servo_is_measured_and_its_file_says_so(on_terminal, servo, lss_motion
     assert "}  # the free one" in robot.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("specs", "faults", "code", "text"),
     [
@@ -76,6 +78,7 @@ def test_what_is_wrong_with_a_servo_is_told_and_nothing_is_written(
     assert robot.read_text() == ROBOT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_brakes_restores_and_holds(on_terminal, servo, robot, number, code):
     with on_terminal(servo(1)) as bus:

@@ -78,6 +78,7 @@ def test_a_monitor_ends_after_the_seconds_given(on_terminal, servo, lss_motion):
     assert code == EXIT_FINISHED
 
 
+@pytest.mark.slow
 def test_without_a_robot_file_every_servo_that_answers_is_watched(on_terminal, servo, lss_motion):
     with on_terminal(servo(4), servo(209, "LSS-2IO")):
         code, _, _ = monitored("--port", "port", "--every", "0.2", until=("servo 4 ", "servo 209"))
@@ -99,6 +100,7 @@ def test_another_host_and_its_servos_are_named_in_an_alarm(on_terminal, servo):
     assert "another program or computer asks on this bus" in out
 
 
+@pytest.mark.slow
 def test_a_port_that_is_pulled_ends_it_with_its_reason(on_terminal, servo, lss_motion):
     pulled = Fault(kind=FaultKind.UNPLUGGED, at_s=3.0)
     with on_terminal(servo(1), faults=[pulled]):

@@ -168,6 +168,7 @@ def test_a_person_is_asked_and_nothing_is_changed_before_the_answer(folder):
     assert main(["replay", "--again", str(log)]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answer", [b"\n", b"n", b"\x03"])
 def test_without_a_yes_nothing_moves_and_nothing_was_changed(folder, answer):
     with simulated(folder) as port, at_a_keyboard(folder, port) as (process, keyboard):
@@ -255,6 +256,7 @@ def assert_restored_and_held(port):
         assert setting in received[-12:]
 
 
+@pytest.mark.slow
 def test_a_terminal_that_is_closed_in_the_middle_brakes_restores_and_holds(folder):
     with simulated(folder) as port, on_a_terminal(folder, port, "--yes") as (process, screen):
         read_until(screen, b"playing")
@@ -264,6 +266,7 @@ def test_a_terminal_that_is_closed_in_the_middle_brakes_restores_and_holds(folde
         assert_restored_and_held(port)
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_helpers_start_is_theirs_to_ignore_and_the_robot_holds(folder):
     with simulated(folder) as port, on_a_terminal(folder, port, "--yes") as (process, screen):
         said = read_until(screen, b"preparing")
@@ -282,6 +285,7 @@ def wait_for_moves(port, count):
         turn.wait(0.01)
 
 
+@pytest.mark.slow
 def test_a_second_interrupt_stops_at_once(folder):
     with simulated(folder) as port:
         with playing(folder, port, loop="forever") as process:
@@ -317,6 +321,7 @@ def test_a_port_that_vanishes_is_an_error_that_says_what_became_of_robot_and_sho
         assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 def test_a_port_that_is_plugged_in_again_is_played_on(folder):
     report = folder / "r.json"
     (folder / "robot.yaml").write_text(ROBOT.replace("resume_s: 1.5", "resume_s: 20"))
@@ -339,6 +344,7 @@ def test_a_port_that_is_plugged_in_again_is_played_on(folder):
     assert (fault["kind"], fault["step"]) == ("lost_port", "resume")
 
 
+@pytest.mark.slow
 def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
     with simulated(folder) as port:
         with playing(folder, port, loop="forever") as process:
@@ -358,6 +364,7 @@ def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
         assert np.ptp(settled, axis=0).max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_show_without_feedback_needs_limits_that_the_servos_store(folder, capsys):
     """A restart is not noticed then: the servo would go on with the speed of the factory."""
     show = folder / "sway.yaml"
@@ -379,6 +386,7 @@ def test_a_show_without_feedback_needs_limits_that_the_servos_store(folder, caps
         assert {(one["SD"], one["AA"], one["AD"]) for one in stored} == {(1800, 60, 60)}
 
 
+@pytest.mark.slow
 def test_a_real_robot_tells_of_higher_stored_limits(folder, capsys):
     show = folder / "sway.yaml"
     show.write_text(SWAY % 1)

@@ -71,6 +71,7 @@ def test_an_exception_in_the_block_stops_the_show(on_terminal, servo, show):
         assert bus.lines[-1][1] == b"#254H\r"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_client_that_is_killed_or_stands_still_leaves_a_safe_robot(
     on_terminal, servo, show, number

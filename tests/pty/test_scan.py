@@ -15,6 +15,7 @@ from lss_motion.system import port as runtime_port
 pytestmark = pytest.mark.realtime
 
 
+@pytest.mark.slow
 def test_a_bag_of_servos_is_found_with_all_that_is_wrong(on_terminal, servo, lss_motion, tmp_path):
     port, starter = "port", tmp_path / "bag.yaml"
     hot = Fault(kind=FaultKind.HOT, servo_id=5, temperature_c=90.0)
@@ -54,6 +55,7 @@ joints: {pan: {id: 1}, tilt: {id: 2}}
     assert "joint 'tilt': servo 2 does not answer" in out
 
 
+@pytest.mark.slow
 def test_another_host_that_asks_all_servos_at_once_is_noted(on_terminal, servo, lss_motion):
     master = Fault(kind=FaultKind.SECOND_MASTER, text="#254QD", every_s=0.1)
     with on_terminal(servo(1), servo(2), servo(5), faults=[master]):
@@ -63,6 +65,7 @@ def test_another_host_that_asks_all_servos_at_once_is_noted(on_terminal, servo, 
     assert "note: port: unreadable bytes come that this program did not ask for" in out
 
 
+@pytest.mark.slow
 def test_an_empty_bus_is_told_with_what_to_check(on_terminal, lss_motion):
     with on_terminal():
         code, out, _ = lss_motion("scan", "port", "--baud", 115200)

@@ -213,6 +213,7 @@ def test_cues_new_files_and_the_end_of_a_stage(on_terminal, servo, hall):
         assert len(own.errors) < 100, "a storm fills no log"
 
 
+@pytest.mark.slow
 def test_a_port_is_waited_for_and_a_stop_is_kept(on_terminal, servo, hall, hook, tmp_path):
     number, got = hook
     port = Path(tmp_path, "port")
@@ -251,6 +252,7 @@ def test_a_port_is_waited_for_and_a_stop_is_kept(on_terminal, servo, hall, hook,
     assert not port.exists()
 
 
+@pytest.mark.slow
 def test_what_cannot_begin_ends_with_its_code(hall, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     own = hall()

@@ -27,7 +27,7 @@ from tests.served_bus import served_bus
 from tests.swing import ROBOT, WAIT_S, until
 
 pytest.importorskip("zenoh", reason="needs the extra `network`")
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 NS = 1_000_000_000
 STAGE = """\

@@ -21,7 +21,7 @@ from lss_motion.stage.timecode.timecode import FPS_25, timecode_of
 from tests.pty.test_serve import halls, until
 from tests.pty.test_timecode import DESK, PLAYER, jack_ports, other_program
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 needs_jack = pytest.mark.skipif(
     bool(sound_recorder.missing() or libltc.missing()),
     reason=sound_recorder.missing() or libltc.missing() or "they are there",

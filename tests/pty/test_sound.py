@@ -23,6 +23,7 @@ soundfile = pytest.importorskip(
 )
 pytestmark = [
     pytest.mark.realtime,
+    pytest.mark.slow,
     pytest.mark.skipif(bool(sound_recorder.missing()), reason=sound_recorder.missing()),
 ]
 

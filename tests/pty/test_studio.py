@@ -205,6 +205,7 @@ def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo,
         assert (server.returncode, errors) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_server_that_is_silent_or_killed_is_a_lost_operator(on_terminal, servo, studio):
     with on_terminal(servo(1)) as bus:
         server, info = studio("--on-operator-lost", "hold")
@@ -238,6 +239,7 @@ def _rests(bus):
     return sum(line.startswith(b"#1D") for _, line in bus.lines) == count
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("own.pem").write_text(CERTIFICATE)
@@ -271,6 +273,7 @@ def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
     assert server.returncode == 0
 
 
+@pytest.mark.slow
 def test_a_port_that_is_lost_in_the_middle_of_a_show_is_said(on_terminal, servo, studio):
     with on_terminal(servo(1)):
         server, info = studio()

@@ -122,6 +122,7 @@ def followed_desk():
     return legs, [leg.instant_ns / 1e9 - start_s - leg.show_s for leg in legs if leg.show_s > 1]
 
 
+@pytest.mark.slow
 @needs_jack
 def test_midi_timecode_of_another_program_is_followed_and_its_end_is_noticed(server):
     pytest.importorskip("rtmidi")
@@ -139,6 +140,7 @@ def test_midi_timecode_of_another_program_is_followed_and_its_end_is_noticed(ser
     assert legs[-1].rate == pytest.approx(1.0, abs=0.005)
 
 
+@pytest.mark.slow
 @needs_jack
 @needs_libltc
 def test_ltc_of_another_program_is_followed_from_a_sound_input(server, tmp_path):
@@ -162,6 +164,7 @@ def test_ltc_of_another_program_is_followed_from_a_sound_input(server, tmp_path)
     assert locked[-1].rate == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.slow
 @needs_jack
 @needs_libltc
 def test_ltc_that_is_sent_is_read_by_libltc(server):
@@ -234,6 +237,7 @@ def test_packets_of_others_are_ignored_and_those_of_the_list_followed():
     assert {leg.source for leg in legs} == {"127.0.0.1"}
 
 
+@pytest.mark.slow
 def test_what_is_sent_over_the_network_is_in_step_with_the_show():
     packets = {"artnet": [], "fpp": [], "osc": []}
     with contextlib.ExitStack() as stack:

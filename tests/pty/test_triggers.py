@@ -25,7 +25,7 @@ from lss_motion.stage.triggers.mqtt import MqttLink, broker_of
 from lss_motion.stage.triggers.osc_port import OscPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 WAIT_S = 30.0
 
 

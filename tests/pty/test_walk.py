@@ -20,7 +20,7 @@ from tests.pty.test_careful import read_until
 from tests.served_bus import ServedBus
 from tests.timed_moves import is_move
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
 APPROACH_MOVES = 12

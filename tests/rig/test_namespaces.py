@@ -8,7 +8,7 @@ pytest.importorskip("zenoh", reason="needs the extra `network`")
 
 from rig.stage import RigStage, may_make_namespaces, why_not
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 
 @pytest.fixture

@@ -33,6 +33,7 @@ Object class = "TextGrid"
 """
 
 
+@pytest.mark.slow
 def test_every_step_of_the_page_works_in_an_empty_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = GUIDES.read_text(encoding="utf-8").partition(TITLE)[2].partition("\n## ")[0]

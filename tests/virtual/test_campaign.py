@@ -101,21 +101,25 @@ def test_whatever_goes_wrong_no_promise_is_broken(chunk):
     assert "finished" in {result.outcome for result in played.values()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", FOUND)
 def test_what_once_broke_a_promise_breaks_none(seed):
     assert judge.judged(seed, slow_bps=FOUND_BPS).broken == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", FOUND_SLOW)
 def test_what_broke_a_promise_on_a_slow_line_breaks_none(seed):
     assert judge.judged(seed).broken == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", FOUND_ANY)
 def test_what_broke_a_promise_of_any_robot_breaks_none(seed):
     assert judge.judged(seed, is_any=True).broken == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*MIXED, *FOUND_MIXED])
 def test_faults_of_all_kinds_break_no_promise_for_either_judge(seed):
     run = judge.judged(seed, is_mixed=True, judges="both")

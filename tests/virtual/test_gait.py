@@ -120,6 +120,7 @@ def test_every_pattern_walks_without_slipping_and_lifts_its_feet(legs, pattern, 
     assert np.abs(lifts_mm - step_mm).max() < LIFT_ERROR_MAX_MM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hexapod_walk", "hexapod_dance", "quadruped_trot"])
 def test_every_example_is_performed_without_slipping(name):
     walked = Walked(EXAMPLES / f"{name}.yaml")

@@ -49,6 +49,7 @@ COUNTS = {
 """How many motions each file of the collection holds; counted by hand, or by other programs."""
 
 
+@pytest.mark.slow
 @needs_motions
 @pytest.mark.parametrize("file", COUNTS)
 def test_every_real_motion_is_planned_with_the_times_of_its_author(file, tmp_path) -> None:
@@ -101,6 +102,7 @@ def test_one_real_motion_of_every_format_plays(file: str, name: str, tmp_path: P
         assert joint.horn_error_rms_deg < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "tolerance_deg"),
     [(name, deg) for name in ("wave", "show", "fastest") for deg in (0.0, 0.04)]

@@ -14,6 +14,7 @@ def gestures():
     return case
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sim", ["ramp=0.1", "dead=60ms", "backlash=1.5deg", "droop=6deg"])
 def test_with_feedback_no_horn_is_worse_and_none_stands_off_its_plan(sim, gestures) -> None:
     ours, other = compared(gestures, sim)

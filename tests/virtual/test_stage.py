@@ -345,6 +345,7 @@ FOUND = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", FOUND)
 def test_random_evenings_with_faults_break_no_limit(seed):
     random = Random(seed)

@@ -278,6 +278,7 @@ def test_a_hot_servo_is_remembered_when_another_show_begins(folder):
     assert "a servo is hot" in rests[0]
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_set_in_mid_show_moves_nothing_and_fires_nothing_twice(folder, monkeypatch):
     """The bytes are the same as with a clock that is right, to the nanosecond."""
     every = "  - {cue: two, on: {time: '*/2 * * * *'}, play: wink, start: add}\n"

@@ -89,6 +89,7 @@ def test_after_a_stall_a_servo_gets_one_move_and_the_show_goes_on(
     assert moves_at_once(played, at_s, late_s) <= 1
 
 
+@pytest.mark.slow
 def test_thirty_seconds_of_stall_send_no_queue_of_moves(stage, kit):
     robot = kit.robot(3, baud_bps=115200)
     sequence = kit.sequence(3, 6.0, swing_deg=60.0, step_s=(0.5, 0.9), loop=8)
@@ -182,6 +183,7 @@ def test_a_stall_over_the_seam_of_a_loop_that_never_rests_goes_on_in_its_pass(st
     assert abs(horn_deg[-1]) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", ["streamed", "stepped"])
 @pytest.mark.parametrize("late_s", [0.1, 5.0])
 def test_other_drives_get_one_target_after_a_stall(stage, kit, drive, late_s):

@@ -18,6 +18,7 @@ def outcome(tmp_path_factory):
     return tool.weekend(HOURS, 2, folder, max_bytes=2_000_000, hurry=HURRY)
 
 
+@pytest.mark.slow
 def test_a_weekend_ends_safely_and_every_trigger_is_explained(outcome):
     assert tool.faults_of(outcome, 2_000_000) == []
     assert outcome.objections == Counter()
@@ -28,6 +29,7 @@ def test_a_weekend_ends_safely_and_every_trigger_is_explained(outcome):
     assert outcome.triggers > 50
 
 
+@pytest.mark.slow
 def test_an_hour_of_the_weekend(tmp_path):
     """With a servo that falls silent, a hot one, and one that is stuck; the last is a rest."""
     hour = tool.weekend(1.0, 2, tmp_path, max_bytes=2_000_000)

@@ -74,6 +74,7 @@ def test_a_right_model_is_not_named(sim) -> None:
     assert not any("identify" in text for text in report.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sim", "expected"),
     [

@@ -163,6 +163,7 @@ def test_check_refuses_a_joint_whose_turn_is_unknown_and_names_what_to_do(tmp_pa
     assert main(["check", str(path)]) == 0
 
 
+@pytest.mark.slow
 def test_doctor_and_scan_as_json(capsys):
     main(["doctor", "--json"])
     findings = json.loads(capsys.readouterr().out)["findings"]

@@ -148,6 +148,7 @@ def test_a_person_is_asked_once_for_each_file_and_content(folder, at_keyboard, m
     assert played() == EXIT_FINISHED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"", b"[]", b"\xff\xfe", b"{" * 100_000])
 def test_a_damaged_memory_asks_again(damage, folder, at_keyboard):
     at_keyboard("y\n")
@@ -172,6 +173,7 @@ def test_stored_bytecode_is_not_run_in_place_of_the_source(folder):
     assert ran(folder) == {"imported", "called"}
 
 
+@pytest.mark.slow
 def test_modules_of_the_current_folder_replace_no_installed_ones(folder):
     """The processes of a show import the standard library, whatever lies beside the show."""
     for name in ("json", "signal", "contextlib"):

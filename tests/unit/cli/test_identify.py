@@ -58,6 +58,7 @@ def rms_deg(robot_file, *, has_feedback):
     return result.report.joints["pan"].horn_error_rms_deg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("physics", "difference", "better_ratio"),
     [

@@ -69,12 +69,14 @@ def test_a_loop_of_a_million_passes_is_compiled_once(folder, command):
     assert len(out) < 20_000
 
 
+@pytest.mark.slow
 def test_a_loop_of_the_command_line_is_compiled_once(folder):
     code, out, _ = run("play", "nod.yaml", "--loop", "1000000", "--dry-run")
     assert code == EXIT_FINISHED
     assert "800000.000 s" in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "line", "said"),
     [
@@ -119,6 +121,7 @@ def test_a_day_of_thirty_joints_is_refused_before_it_is_planned(folder):
     assert "day.yaml:6: the keyframes end at 86,400 s; with 30 joints at most 16,667 s" in errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["plan", "--csv"], ["export", "-o"]])
 def test_a_table_of_a_million_passes_is_refused(folder, words):
     code, _, errors = run(words[0], "looped.yaml", words[1], "t.csv")
@@ -144,6 +147,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "/dev/urandom", "folder", "missing"])
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_what_is_no_file_is_refused_at_once(folder, words, kind, capsys):
@@ -177,6 +181,7 @@ def test_a_part_that_is_no_file_is_named_with_its_line(folder, capsys):
     assert "pipe.yaml: is a device or a pipe" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_files_of_many_bytes_are_not_read(folder, capsys):
     from lss_motion.cli.main import main
 

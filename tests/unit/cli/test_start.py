@@ -57,6 +57,7 @@ def begun(tmp_path, entry, *words):
     return process
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "name"), tuple(enumerate(COMMANDS)))
 def test_ctrl_c_at_any_instant_ends_a_program_without_a_traceback(tmp_path, place, name):
     """All commands start with the same code, so each is interrupted at every second instant."""
@@ -72,6 +73,7 @@ def test_ctrl_c_at_any_instant_ends_a_program_without_a_traceback(tmp_path, plac
             break  # It had ended before the signal came.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 @pytest.mark.parametrize("name", ["real time", "monitor", "walk"])
 def test_other_signals_end_a_program_the_same_way(tmp_path, name, number):
@@ -84,6 +86,7 @@ def test_other_signals_end_a_program_the_same_way(tmp_path, name, number):
         assert process.returncode == 128 + number, (delay_s, said)
 
 
+@pytest.mark.slow
 def test_many_signals_end_a_program_at_once_and_without_a_traceback(tmp_path):
     for pause_s in (0.0, 0.01, 0.1):
         process = begun(tmp_path, *COMMANDS["real time"])
@@ -173,6 +176,7 @@ def test_an_output_without_a_reader_is_no_error(words):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["--help", "reference", "scan sim:// --robot ROBOT"])
 def test_a_program_without_standard_streams_runs(words):
     words = words.replace("ROBOT", str(EXAMPLES / "robots" / "desk_arm.yaml"))
@@ -183,6 +187,7 @@ def test_a_program_without_standard_streams_runs(words):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["reference"], ["schema", "robot"]])
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has this device")
 def test_an_output_without_room_is_an_error_in_words(words):

@@ -69,6 +69,7 @@ SOURCES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "name"), SOURCES)
 def test_no_command_overwrites_what_it_reads_not_even_when_forced(words, name, folder, capsys):
     Path("table.csv").write_text("t_s,base\n0,0\n1,20\n2,0\n")
@@ -113,6 +114,7 @@ OUTPUTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "name"), OUTPUTS, ids=lambda value: " ".join(value[:1]))
 def test_an_output_replaces_its_own_kind_only(words, name, folder, capsys):
     assert run(*PLAY, "--report", "done.json") == 0
@@ -191,6 +193,7 @@ def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(folder):
     assert texts(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="has no such name")
 def test_standard_output_as_a_file_gets_the_table(folder):
     command = [sys.executable, "-m", "lss_motion.cli.main", "plan", "show.yaml"]

@@ -40,6 +40,7 @@ def stage(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_doctor_asks_every_figure(stage, capsys, monkeypatch):
     monkeypatch.setattr("lss_motion.stage.hosts.examine.WAIT_S", 15.0)
     program = "import sys; from lss_motion.cli.main import main; sys.exit(main(sys.argv[1:]))"

@@ -212,6 +212,7 @@ def test_a_host_that_starts_again_rejoins():
     assert "f3 has started again" in " ".join(world.notes)
 
 
+@pytest.mark.slow
 def test_a_figure_that_two_processes_serve_is_named_once_a_minute_and_cannot_start():
     world = World(3, seed=4)
     conductor, host = world.conductor, world.hosts["f1"]

@@ -59,6 +59,7 @@ def curve(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("tolerance_deg", [0.5, 2.0, 5.0])
 def test_the_written_keys_stay_within_the_tolerance_at_every_sample(
@@ -112,6 +113,7 @@ def test_other_eases_stay_within_the_tolerance_too(arm, tmp_path, ease: str, mad
         assert error_deg.max() <= 1.0 + 2.0 * ROUNDING_DEG
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ease", "keys_most", "keyframes_most"),
     [("spline", 220, 76), ("smooth", 222, 86), ("linear", 235, 105)],
@@ -181,6 +183,7 @@ def test_fitted_splines_keep_the_acceleration_and_the_range(seed: int) -> None:
     assert reach[0] - 1e-6 <= spline(finely_s).min() <= spline(finely_s).max() <= reach[1] + 1e-6
 
 
+@pytest.mark.slow
 def test_limits_that_a_recording_nearly_breaks_cost_a_spline_few_keys() -> None:
     """Before accelerations were pulled back to their limits: 160 keyframes with them, 84 without.
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import lss_motion as lss
@@ -279,7 +279,6 @@ def test_a_viseme_beyond_the_range_or_of_no_joint_is_refused():
     assert "viseme 'O': unknown joint 'jawe'; did you mean 'jaw'?" in str(caught.value)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.lists(
         st.tuples(

@@ -47,6 +47,7 @@ def test_wrong_pypot_positions_are_refused_with_their_place(refusal, positions, 
     assert reason in refusal(PypotReader(), content).reason
 
 
+@pytest.mark.slow
 def test_ten_megabytes_of_samples_are_read(read_one) -> None:
     motors = ",".join(f'"joint_{n}":[12.34,0.0]' for n in range(20))
     rows = ",".join(f'"{index / 100}":{{{motors}}}' for index in range(20_000))

@@ -270,6 +270,7 @@ def test_joints_share_the_times_of_their_keys() -> None:
         assert np.abs(error_deg).max() <= 5.0 + ROUNDING_DEG
 
 
+@pytest.mark.slow
 def test_where_a_recording_breaks_a_limit_the_limit_costs_few_keys() -> None:
     """The planner slows such spans down in any case; keys would not help. Once 1,146 instead."""
     whole = many(4)

@@ -103,6 +103,7 @@ class StopOnce:
 # ---- what is found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [7, 14, 17])
 def test_a_random_servo_is_identified_within_its_limits(seed):
     one = blind(seed)
@@ -110,6 +111,7 @@ def test_a_random_servo_is_identified_within_its_limits(seed):
     assert one.away_deg > 0.5 * one.span_deg  # It did move.
 
 
+@pytest.mark.slow
 def test_the_judge_of_these_tests_finds_wrong_results():
     one = blind(7)
     fast = one.found.top_deg_s._replace(value=2.0 * one.found.top_deg_s.value)
@@ -147,6 +149,7 @@ def test_a_servo_too_weak_for_its_limit_is_reported_with_its_top_speed():
     )
 
 
+@pytest.mark.slow
 def test_assumed_values_give_no_difference_and_unexplained_readings_are_refused():
     bench = Bench()
     assert summary.difference_lines(bench.identified(), bench.joint) == []

@@ -103,6 +103,7 @@ def test_no_process_is_left_after_the_show(folder, monkeypatch, name):
     assert in_group(pid) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stay", "hold", "spawn", "fog"])
 def test_no_process_is_left_when_the_player_is_killed(folder, name):
     code = (

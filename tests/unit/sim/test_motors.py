@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -271,7 +271,6 @@ def test_a_servo_above_85_degrees_goes_limp_and_reports_the_cause(make_host):
     ),
     st.lists(st.integers(1, 700), max_size=40),
 )  # fmt: skip
-@settings(max_examples=40, deadline=None)
 def test_what_happens_does_not_depend_on_how_often_time_is_told(
     make_host, make_servo, script, pauses_ms
 ):

@@ -222,6 +222,7 @@ def test_what_is_muted_by_order_is_silent_within_the_fade(tmp_path):
     assert not played[round(1.1 * RATE_HZ) :].any()
 
 
+@pytest.mark.slow
 def test_a_device_that_is_off_and_its_show_are_within_2_ms_for_an_hour():
     assert hour_off_s(200.0) < 0.002
 

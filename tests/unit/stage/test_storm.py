@@ -196,7 +196,7 @@ acts_strategy = st.lists(
 )
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=2 * settings().max_examples)
 @given(cues_strategy, acts_strategy)
 def test_the_start_modes_do_what_a_model_of_them_does(made, acts):
     cues = [
@@ -238,7 +238,7 @@ def test_the_start_modes_do_what_a_model_of_them_does(made, acts):
 EVENTS = ("press", "press", "press", "finish", "wait", "fault", "hot", "clock", "refuse", "do")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=2 * settings().max_examples)
 @given(
     cues_strategy, st.lists(st.tuples(st.sampled_from(EVENTS), st.integers(0, 99)), max_size=120)
 )

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, time, timedelta
 from zoneinfo import ZoneInfo
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lss_motion.stage.time_of_day import CORRECTED, LATE, CronClock, clock_time, is_within
@@ -49,7 +49,6 @@ def test_summer_time_begins_and_ends(expression, around, times):
     assert [wall.astimezone(BERLIN).strftime("%H:%M") for wall in found] == times
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     steps=st.lists(st.tuples(st.floats(1, 4000), st.floats(-9000, 9000)), min_size=1, max_size=25),
     expression=st.sampled_from(["*/10 * * * *", "7 * * * *", "15 13 * * *", "0 12-14 * * *"]),

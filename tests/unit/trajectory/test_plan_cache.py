@@ -226,6 +226,7 @@ def test_a_pipe_in_place_of_an_entry_is_a_miss(fast_show, make_robot):
     assert np.array_equal(sampled(plan(fast_show, make_robot())), sampled(planned))
 
 
+@pytest.mark.slow
 def test_whatever_bytes_change_the_plan_keeps_the_limits(fast_show, make_robot):
     """Sealed entries with random changes: each is the plan, or a miss, or legal all the same."""
     robot, generator = make_robot(), random.Random(21)
@@ -246,6 +247,7 @@ def test_whatever_bytes_change_the_plan_keeps_the_limits(fast_show, make_robot):
         )
 
 
+@pytest.mark.slow
 def test_a_poisoned_layer_is_a_miss(make_robot, frame):
     top = Sequence(name="top", keyframes=(frame(0.0, base=0.0), frame(1.0, base=5.0)))
     layer = Layer(sequence=top, joints=("base",), mode="add", from_s=1.0, fade_s=0.2)
