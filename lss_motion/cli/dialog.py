@@ -19,6 +19,7 @@ from lss_motion.playing.player.events import (
     Noted,
     Phase,
     PhaseEntered,
+    PlayerRequest,
     Waited,
     Warned,
 )
@@ -84,7 +85,7 @@ class Confirmation:
         inner: Controls[Player],
         inputs: Inputs,
         robot_name: str,
-        note: Callable[[str, int], None] | None = None,
+        note: Callable[[PlayerRequest, int], None] | None = None,
         *,
         offer: str = "",
     ) -> None:
@@ -117,12 +118,12 @@ class Confirmation:
             self.is_careful = not is_no
             _print("no: nothing was moved\n" if is_no else "a careful run first\n")
             if self._note is not None:
-                self._note("stop", now_ns)
+                self._note(PlayerRequest("stop"), now_ns)
             driven.stop(now_ns)
         elif answer:
             _print("yes\n")
             if self._note is not None:
-                self._note("go", now_ns)
+                self._note(PlayerRequest("go"), now_ns)
             driven.go()
 
 

@@ -305,17 +305,14 @@ def _write_mcap(
     log: Path, robot_path: Path | None, output: Path, read_robot: Callable[[Path], Robot]
 ) -> None:
     """Write a log as MCAP; the log names the robot if `robot_path` does not."""
-    from lss_motion.planning import shows
+    from lss_motion.playing.log import read_log
     from lss_motion.playing.log_mcap import mcap_of_log
-    from lss_motion.playing.replay import read_log
+    from lss_motion.playing.replay import logged_robot
 
-    played, entries = read_log(log)
-    if robot_path is not None:
-        robot = read_robot(robot_path)
-    else:
-        robot = shows.logged_robot(log, played, read_robot)
-    write_output(output, mcap_of_log(entries, robot))
-    print(f"{output}: {len(entries)} lines of {log}")
+    read = read_log(log)
+    robot = logged_robot(read, read_robot) if robot_path is None else read_robot(robot_path)
+    write_output(output, mcap_of_log(read.lines, robot))
+    print(f"{output}: {len(read.lines)} lines of {log}")
 
 
 def _write_sketch(show: Show, output: Path) -> None:

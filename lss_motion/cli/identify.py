@@ -32,14 +32,14 @@ from lss_motion.files.output import Kind, Output, require_outputs
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
-    from typing import Any
+    from collections.abc import Sequence
 
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
     from lss_motion.maintenance.identify.estimate import Identified
     from lss_motion.maintenance.identify.experiment import Experiment
     from lss_motion.playing.connection import Connection
+    from lss_motion.playing.log import Log
     from lss_motion.robot.model import Joint, Robot
 
 
@@ -140,16 +140,16 @@ def _from_log(arguments: argparse.Namespace) -> int:
     """Measure by the log of a show, joint by joint; nothing moves."""
     from lss_motion.maintenance.identify.show_fit import identify_from_show
     from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings
-    from lss_motion.playing.replay import read_log
+    from lss_motion.playing.log import ReceivedLine, SentLine, read_log
 
     robot = robot_at(arguments.robot, None)
     _check_from_log(arguments)
-    played, entries = read_log(arguments.log)
-    _require_its_log(arguments.log, played, robot)
+    log = read_log(arguments.log)
+    _require_its_log(log, robot)
     logged = (
-        LoggedBytes(entry.at_ns, entry.bus, entry.kind == ">", entry.data)
-        for entry in entries
-        if entry.kind in "<>"
+        LoggedBytes(line.at_ns, line.bus, isinstance(line, SentLine), line.data)
+        for line in log.lines
+        if isinstance(line, SentLine | ReceivedLine)
     )
     found = recordings(logged, robot)
     if not found:
@@ -171,15 +171,15 @@ def _from_log(arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED if is_measured else EXIT_NOT_FOLLOWED
 
 
-def _require_its_log(log: Path, played: Mapping[str, Any], robot: Robot) -> None:
+def _require_its_log(log: Log, robot: Robot) -> None:
     """Refuse the log of a show whose robot file has other servos than `robot`.
 
     Where that file, or the show, cannot be read any more, nothing is known.
     """
-    from lss_motion.planning import shows
+    from lss_motion.playing.replay import logged_robot
 
     try:
-        logged = shows.logged_robot(log, played, partial(robot_at, port=None))
+        logged = logged_robot(log, partial(robot_at, port=None))
     except InputError:
         return
     servos, others = (
@@ -190,7 +190,7 @@ def _require_its_log(log: Path, played: Mapping[str, Any], robot: Robot) -> None
         raise InputError(
             f"was played with the robot file {logged.path}, which has other servos than "
             f"{robot.path}; add --robot {logged.path}",
-            path=log,
+            path=log.path,
         )
 
 

@@ -115,9 +115,9 @@ def add_to(commands: Commands) -> None:
     schema.add_argument(
         "kind",
         nargs="?",
-        choices=("robot", "sequence", "gait", "learnt", "stage", "remote"),
-        help="only the schema of this kind of file, or of the messages that steer a running show "
-        "(default: all)",
+        choices=("robot", "sequence", "gait", "learnt", "stage", "remote", "log"),
+        help="only the schema of this kind of file, of the messages that steer a running show, or "
+        "of a line of a log (default: all)",
     )
     gait = add_command(commands, "gait", _gait)
     gait.add_argument("file", type=Path, metavar="FILE", help="a gait file")
@@ -302,6 +302,7 @@ def _compile(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
+    from lss_motion.playing.log import log_schema
     from lss_motion.playing.remote.schema import schema as remote_schema
     from lss_motion.robot.learnt import learnt_schema
     from lss_motion.robot.load import robot_schema
@@ -316,6 +317,7 @@ def _schema(arguments: argparse.Namespace) -> int:
         "learnt": learnt_schema,
         "stage": stage_schema,
         "remote": remote_schema,
+        "log": log_schema,
     }
     if arguments.kind is not None:
         shown = schemas[arguments.kind]()

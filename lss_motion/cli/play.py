@@ -7,7 +7,7 @@ import contextlib
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.careful import CAREFUL_HELP, CAREFUL_RATE, Learning, careful_run
 from lss_motion.cli.commands import (
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.terminal import Terminal
     from lss_motion.errors import LssMotionError
     from lss_motion.planning.shows import Show
+    from lss_motion.playing.log import PlayedShow
     from lss_motion.playing.perform import Result
     from lss_motion.robot.model import Robot
     from lss_motion.sim.deviation import Deviation
@@ -345,7 +346,7 @@ def _perform(
         if arguments.log is not None:
             from lss_motion.playing.log import ByteLog
 
-            played = {**_played(arguments), "must_ask": is_asked, "limits": robot.read_limits}
+            played = _played(arguments, robot, is_asked=is_asked)
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             stack.enter_context(log.reporting_to(problems))
         note = print_line if display is None else display.note
@@ -380,19 +381,23 @@ def _perform(
         return result, confirmation.is_careful
 
 
-def _played(arguments: argparse.Namespace) -> dict[str, Any]:
+def _played(arguments: argparse.Namespace, robot: Robot, *, is_asked: bool) -> PlayedShow:
     """Return what `lss-motion replay` needs to make the same program again."""
-    return {
-        "file": str(arguments.file.absolute()),
-        "robot": None if arguments.robot is None else str(arguments.robot.absolute()),
-        "speed": arguments.speed,
-        "loop": arguments.loop,
-        "start_s": arguments.start_s,
-        "has_feedback": not arguments.no_feedback,
-        "is_forced": arguments.force,
-        "port": arguments.port,
-        "is_following": arguments.follow is not None,
-    }
+    from lss_motion.playing.log import PlayedShow
+
+    return PlayedShow(
+        file=str(arguments.file.absolute()),
+        robot=None if arguments.robot is None else str(arguments.robot.absolute()),
+        speed=arguments.speed,
+        loop=arguments.loop,
+        start_s=arguments.start_s,
+        has_feedback=not arguments.no_feedback,
+        is_forced=arguments.force,
+        port=arguments.port,
+        is_following=arguments.follow is not None,
+        must_ask=is_asked,
+        limits=robot.read_limits,
+    )
 
 
 def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:

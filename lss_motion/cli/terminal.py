@@ -15,6 +15,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
+from lss_motion.playing.player.events import PlayerRequest
 from lss_motion.playing.sound_choice import OFFSET_STEP_S
 from lss_motion.system.signals import ENDING
 
@@ -268,9 +269,9 @@ class _LoggedSteering:
         self._log = log
 
     def set_rate(self, rate: float, now_ns: int) -> None:
-        self._log.requested(f"rate {rate!r}", now_ns)
+        self._log.requested(PlayerRequest("rate", (rate,)), now_ns)
         self._driven.set_rate(rate, now_ns)
 
     def stop(self, now_ns: int) -> None:
-        self._log.requested("stop", now_ns)
+        self._log.requested(PlayerRequest("stop"), now_ns)
         self._driven.stop(now_ns)

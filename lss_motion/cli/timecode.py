@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.events import PlayerRequest
     from lss_motion.playing.player.following import FollowRule
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.runner import Controls
@@ -112,7 +113,7 @@ class Link:
         self,
         inner: Controls[Player],
         tell: Callable[[str], None],
-        note_request: Callable[[str, int], None] | None,
+        note_request: Callable[[PlayerRequest, int], None] | None,
     ) -> Controls[Player]:
         """Return the controls of the run; `inner` are those of a person."""
         if self.following is None or self._source is None:

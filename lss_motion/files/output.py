@@ -57,7 +57,7 @@ _HEADS: Final = {
     Kind.TABLE: rb"(# fps: [^\n]*\r?\n)?(t_s,(?!servo,position_deg)|frame,)",
     Kind.READINGS: rb"t_s,servo,position_deg",
     Kind.PROGRAM: rb"# lss_motion program ",
-    Kind.LOG: rb"# lss_motion log ",
+    Kind.LOG: rb'# lss_motion log |\{"format":"lss_motion log",',
     Kind.REPORT: rb'\{\s*"schema": \d+,\s*"sequence": ',
     # PNG, JPEG, GIF, PDF, PostScript, TIFF, WebP, compressed SVG, SVG, PGF.
     Kind.PICTURE: rb"\x89PNG|\xff\xd8\xff|GIF8|%PDF|%!PS|II\*\0|MM\0\*|RIFF....WEBP|\x1f\x8b"

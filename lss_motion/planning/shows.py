@@ -6,7 +6,6 @@ A file is a sequence, a gait or a program that was compiled before.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -16,8 +15,8 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from typing import Any
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import Trajectory
@@ -99,21 +98,6 @@ def load(
         if robot.read_limits:  # A gait in it was paced for other limits.
             sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     return sequence, robot
-
-
-def logged_robot(
-    log: Path, played: Mapping[str, Any], read_robot: Callable[[Path], Robot]
-) -> Robot:
-    """Return the robot of the show that wrote `log`, by what its head says (`played`)."""
-    from lss_motion.planning.program.text import load_program
-
-    if played.get("robot"):
-        return read_robot(Path(played["robot"]))
-    if "file" not in played:
-        raise InputError("does not name the file that was played; add --robot FILE", path=log)
-    file = Path(played["file"])
-    reads = load_program(file, read_robot) if is_program(file) else load(file, None, read_robot)
-    return reads[1]
 
 
 def files_of(sequence: Sequence) -> Iterator[Path]:

@@ -18,8 +18,8 @@
 | `performer_process` | the process that calls and plays them          | `performer`              |
 | `sounds.py`         | sounds of a show on an open stream             | `perform`                |
 | `sound_choice.py`   | device and offset; what came of the sounds     | `perform`, `cli`         |
-| `log.py`, …         | the log of every byte; as MCAP                 | `cli`                    |
-| `replay.py`         | reads a log, repeats decisions of the player   | `cli.replay`             |
+| `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |
+| `replay.py`         | repeats the player's decisions from a log      | `cli.replay`             |
 | `report.py`         | the JSON report of a run                       | `perform`, `cli`         |
 | `stage_report.py`   | the report of a stage                          | `stage_run`              |
 | `truth.py`          | what simulated horns did                       | `perform`                |

@@ -10,23 +10,23 @@ Needs the library mcap: the extra `[mcap]`.
 
 from __future__ import annotations
 
-import ast
 import io
-import json
 import math
-import re
 import struct
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from lss_motion.errors import InputError, install_command
+from lss_motion.playing.log import HappenedLine, PortLine, ReceivedLine, RequestedLine
 from lss_motion.playing.replay import sent_lines
 from lss_motion.protocol.framing import Command, CommandParser, Reply, ReplyParser
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from lss_motion.playing.replay import Entry
+    from lss_motion.playing.log import LogLine
     from lss_motion.robot.model import Joint, Robot
 
 STATES: Final = "/joint_states"
@@ -57,14 +57,11 @@ EVENT_SCHEMA: Final = {
     "required": ["type"],
 }
 
-_ENUM: Final = re.compile(r"<\w+\.\w+: ('[^']*')>")
-"""A member of an enumeration of texts, as Python writes it."""
-
 CDR_HEAD: Final = b"\x00\x01\x00\x00"
 """Little endian, no options."""
 
 
-def mcap_of_log(entries: list[Entry], robot: Robot) -> bytes:
+def mcap_of_log(lines: Sequence[LogLine], robot: Robot) -> bytes:
     """Return the content of an MCAP file; raise `InputError` if the library is missing."""
     try:
         from mcap.writer import CompressionType, Writer
@@ -75,10 +72,11 @@ def mcap_of_log(entries: list[Entry], robot: Robot) -> bytes:
     writer = Writer(out, compression=CompressionType.NONE)
     writer.start(profile="ros2", library="lss_motion")
     state = writer.register_schema(JOINT_STATE, "ros2msg", JOINT_STATE_TEXT.encode())
-    event = writer.register_schema("lss_motion/Event", "jsonschema", _json(EVENT_SCHEMA))
+    described = msgspec.json.encode(EVENT_SCHEMA)
+    event = writer.register_schema("lss_motion/Event", "jsonschema", described)
     channels = {topic: writer.register_channel(topic, "cdr", state) for topic in (STATES, COMMANDS)}
     channels[EVENTS] = writer.register_channel(EVENTS, "json", event)
-    messages = [*_angles(entries, robot), *_events(entries)]
+    messages = [*_angles(lines, robot), *_events(lines)]
     messages.sort(key=lambda message: message[0])
     for at_ns, topic, data in messages:
         writer.add_message(channels[topic], log_time=at_ns, publish_time=at_ns, data=data)
@@ -89,12 +87,12 @@ def mcap_of_log(entries: list[Entry], robot: Robot) -> bytes:
 Message = tuple[int, str, bytes]
 
 
-def _angles(entries: list[Entry], robot: Robot) -> Iterator[Message]:
+def _angles(lines: Sequence[LogLine], robot: Robot) -> Iterator[Message]:
     """Yield a message for every position that was reported, and for every target that was sent."""
     joints = {(joint.bus, joint.servo_id): joint for joint in robot.joints.values()}
     replies: dict[str, ReplyParser] = {}
-    for entry in entries:
-        if entry.kind == "<":
+    for entry in lines:
+        if isinstance(entry, ReceivedLine):
             parser = replies.setdefault(entry.bus, ReplyParser())
             for item in parser.feed(entry.data):
                 if isinstance(item, Reply) and item.keyword == "QD" and item.servo_id is not None:
@@ -102,7 +100,7 @@ def _angles(entries: list[Entry], robot: Robot) -> Iterator[Message]:
                     if joint is not None and isinstance(item.value, int):
                         yield entry.at_ns, STATES, _joint_state(entry.at_ns, joint, item.value)
     commands = CommandParser(grouped=False)
-    for at_ns, bus, line in sent_lines(entries):
+    for at_ns, bus, line in sent_lines(lines):
         for sent in commands.feed(line):
             if isinstance(sent, Command) and sent.keyword == "D" and isinstance(sent.value, int):
                 joint = joints.get((bus, sent.servo_id))
@@ -137,41 +135,17 @@ def _add_text(body: bytearray, text: str) -> None:
     body += data
 
 
-def _events(entries: list[Entry]) -> Iterator[Message]:
-    for entry in entries:
-        match entry.kind:
-            case "!":
-                yield entry.at_ns, EVENTS, _json(_event(entry.text))
-            case "=":
-                yield entry.at_ns, EVENTS, _json({"type": "Request", "text": entry.text})
-            case "~":
-                content = {"type": "Port", "bus": entry.bus, "text": entry.text}
-                yield entry.at_ns, EVENTS, _json(content)
+def _events(lines: Sequence[LogLine]) -> Iterator[Message]:
+    for entry in lines:
+        content: object
+        match entry:
+            case HappenedLine():
+                content = entry.event
+            case RequestedLine():
+                content = {"type": "Request", "text": entry.request.text}
+            case PortLine():
+                text = f"{entry.state} {entry.reason}".rstrip()
+                content = {"type": "Port", "bus": entry.bus, "text": text}
             case _:
-                pass
-
-
-def _event(logged: str) -> dict[str, Any]:
-    """Return type and fields of an event in a log, or its text if it cannot be read."""
-    text = logged.encode("ascii").decode("unicode_escape")
-    try:
-        value = _value(ast.parse(_ENUM.sub(r"\1", text), mode="eval").body)
-    except (SyntaxError, ValueError, TypeError, RecursionError):
-        value = None
-    return value if isinstance(value, dict) else {"type": "Event", "text": text}
-
-
-def _value(node: ast.expr) -> Any:  # noqa: ANN401  (a value of JSON)
-    match node:
-        case ast.Call(func=ast.Name(id=name)):
-            fields = {key.arg or "": _value(key.value) for key in node.keywords}
-            values = {"values": [_value(arg) for arg in node.args]} if node.args else {}
-            return {"type": name, **values, **fields}
-        case ast.Tuple() | ast.List():
-            return [_value(item) for item in node.elts]
-        case _:
-            return ast.literal_eval(node)
-
-
-def _json(content: object) -> bytes:
-    return json.dumps(content, default=str).encode()
+                continue
+        yield entry.at_ns, EVENTS, msgspec.json.encode(content)

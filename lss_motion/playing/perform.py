@@ -274,7 +274,7 @@ def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[
 
     def lose(bus: str, reason: str, now_ns: int) -> None:
         if tap is not None:
-            tap.noted(bus, f"lost {reason}", now_ns)
+            tap.noted(bus, "lost", now_ns, reason)
         player.port_lost(bus, reason, now_ns)
 
     def find(bus: str, now_ns: int) -> None:

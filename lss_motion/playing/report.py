@@ -191,6 +191,8 @@ class Report(Struct, frozen=True, kw_only=True):
             for key in ("horn_error_rms_deg", "horn_error_max_deg"):
                 if joint[key] is None:
                     del joint[key]
+        for fault in found["faults"]:
+            del fault["type"]
         return found
 
 

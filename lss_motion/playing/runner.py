@@ -29,7 +29,8 @@ from lss_motion.units import NS_PER_MS, NS_PER_US
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from lss_motion.playing.player.events import Event
+    from lss_motion.playing.log import PortState
+    from lss_motion.playing.player.events import Event, PlayerRequest
     from lss_motion.system.clock import Clock
     from lss_motion.system.port import Port
 
@@ -37,10 +38,6 @@ DECISION_STEP_NS: Final = 5 * NS_PER_US
 DECISION_MAX_NS: Final = NS_PER_MS
 """A decision takes 0.1 to 0.5 ms (measured). Chosen: the estimate settles within a hundred turns,
 and a slow moment of the computer makes no command early by more than one unit of T."""
-
-
-SAFE: Final = "safe"
-"""Note to a `Tap`: what follows on this bus are the safe bytes after an error."""
 
 
 class Driven(Protocol):
@@ -102,11 +99,14 @@ class Tap(Protocol):
 
     def happened(self, event: Event, now_ns: int) -> None: ...
 
-    def requested(self, text: str, now_ns: int) -> None:
+    def requested(self, request: PlayerRequest, now_ns: int) -> None:
         """Note an order from outside that decides: `follow` a leader, or a lost `sound`."""
 
-    def noted(self, bus: str, text: str, now_ns: int) -> None:
-        """Note what decides besides bytes: a port `lost REASON` or `found`; `safe` at the end."""
+    def noted(self, bus: str, state: PortState, now_ns: int, reason: str = "") -> None:
+        """Note what else decides: a port is `lost`, with the reason, or `found`.
+
+        `safe`: what follows on this bus are the safe bytes after an error.
+        """
 
 
 def run(
@@ -265,7 +265,7 @@ def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap
         with contextlib.suppress(Exception):
             ports[bus].write(data)
             if tap is not None:
-                tap.noted(bus, SAFE, clock.now_ns())
+                tap.noted(bus, "safe", clock.now_ns())
                 tap.sent(bus, data, clock.now_ns())
 
 

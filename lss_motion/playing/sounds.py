@@ -10,7 +10,6 @@ Where it cannot play (no library, no device), `SoundDesk.problem` says why, and
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.playing.performer_process import SOUND_PLAYERS, sound_player
-from lss_motion.playing.player.events import Noted
+from lss_motion.playing.player.events import Noted, PlayerRequest
 from lss_motion.playing.player.show_clock import TRIM_MAX_RATIO, Leg
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.system.clock_leg import RATE_BAND
@@ -82,7 +81,7 @@ class SoundDesk:
         from lss_motion.sound.files import has_soundfile
 
         self._choice = choice
-        self._note_request: Callable[[str, int], None] = _forget
+        self._note_request: Callable[[PlayerRequest, int], None] = _forget
         self._tell: Callable[[Event], None] = _ignore
         self._program = program
         self._changes, self._is_cleared = 0, False
@@ -113,7 +112,9 @@ class SoundDesk:
         return self._child is not None
 
     def note_to(
-        self, tell: Callable[[Event], None], note_request: Callable[[str, int], None] | None
+        self,
+        tell: Callable[[Event], None],
+        note_request: Callable[[PlayerRequest, int], None] | None,
     ) -> None:
         """Tell a person what has changed; write what decides about the show to a log, too."""
         self._tell = tell
@@ -125,7 +126,7 @@ class SoundDesk:
             self._read(self._child, player, now_ns)
             self._play(player, now_ns)
         for text in self.take_troubles():
-            self._note_request(f"sound {json.dumps(text)}", now_ns)
+            self._note_request(PlayerRequest("sound", (text,)), now_ns)
             player.lose_sound(text, now_ns)
 
     def _play(self, player: Player, now_ns: int) -> None:
@@ -334,7 +335,8 @@ class SoundDesk:
         off_s = player.follow(leader, now_ns, TRIM_MAX_RATIO)
         if off_s is None:
             return
-        self._note_request(f"follow {leader.show_s!r} {leader.rate!r} {TRIM_MAX_RATIO!r}", now_ns)
+        values = (leader.show_s, leader.rate, TRIM_MAX_RATIO)
+        self._note_request(PlayerRequest("follow", values), now_ns)
         self.report.leads = True
         assert player.show is not None
         if player.show.clock.target_rate == 1.0:
@@ -348,7 +350,7 @@ def _ignore(_event: Event) -> None:
     """No person watches."""
 
 
-def _forget(_text: str, _now_ns: int) -> None:
+def _forget(_request: PlayerRequest, _now_ns: int) -> None:
     """There is no log."""
 
 

@@ -81,6 +81,8 @@ class StageReport(Struct, frozen=True, kw_only=True):
     def to_dict(self) -> dict[str, Any]:
         """Return the report as an object for `json.dumps`."""
         found: dict[str, Any] = to_builtins(self)
+        for fault in found["faults"]:
+            del fault["type"]
         return found
 
 

@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from lss_motion.playing.log import FIRST_LINE
+from lss_motion.playing.log import VERSION, LineTap, LogHead, encode_line
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.process import ChildProcess
 from lss_motion.system.reactor import serve
 from lss_motion.system.real_time import lower_priority
-from lss_motion.units import NS_PER_S, ns_from_s
+from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.playing.player.events import Event
+    from lss_motion.playing.log import LogLine
     from lss_motion.stage.model import LogRule
     from lss_motion.system.messages import MessagePipe
 
@@ -111,7 +111,7 @@ class Writer:
 
     def _dump(self, name: str, content: str) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
-        data = content.encode("ascii", "replace")
+        data = content.encode("utf-8")
         self._prune(len(data) + self._max_bytes // FILES_LEAST)
         path = self._folder / f"{FAULT_PREFIX}{name}.log"
         try:
@@ -172,14 +172,14 @@ class StageLog:
             self._child.end(CLOSE_S)
 
 
-class Ring:
+class Ring(LineTap):
     """A `Tap` that keeps the last seconds of bytes, up to `RING_MAX_BYTES`, as lines of a log."""
 
     def __init__(self, kept_s: float) -> None:
+        super().__init__()
         self._kept_ns = ns_from_s(kept_s)
-        self._lines: deque[tuple[int, str]] = deque()
+        self._lines: deque[tuple[int, bytes]] = deque()
         self._size = 0
-        self._start_ns = 0
 
     def started(self, start_ns: int) -> Ring:
         """Begin anew: instants count from `start_ns`."""
@@ -187,43 +187,23 @@ class Ring:
         self._lines.clear()
         return self
 
-    def sent(self, bus: str, data: bytes, now_ns: int) -> None:
-        self._add(f"{bus} > {_escaped(data.decode('latin-1'))}", now_ns)
-
-    def received(self, bus: str, data: bytes, now_ns: int) -> None:
-        self._add(f"{bus} < {_escaped(data.decode('latin-1'))}", now_ns)
-
     def turned(self, now_ns: int) -> None:
         """Nothing was sent; it is not kept."""
 
-    def happened(self, event: Event, now_ns: int) -> None:
-        self._add(f"- ! {_escaped(repr(event))}", now_ns)
-
-    def requested(self, text: str, now_ns: int) -> None:
-        self._add(f"- = {text}", now_ns)
-
-    def noted(self, bus: str, text: str, now_ns: int) -> None:
-        self._add(f"{bus} ~ {_escaped(text)}", now_ns)
-
-    def _add(self, text: str, now_ns: int) -> None:
-        self._lines.append((now_ns, text))
-        self._size += len(text)
+    def add(self, line: LogLine) -> None:
+        """Keep a line until it is too old, or there are too many."""
+        data = encode_line(line)
+        self._lines.append((line.at_ns, data))
+        self._size += len(data)
         while self._lines and (
-            self._size > RING_MAX_BYTES or now_ns - self._lines[0][0] > self._kept_ns
+            self._size > RING_MAX_BYTES or line.at_ns - self._lines[0][0] > self._kept_ns
         ):
             self._size -= len(self._lines.popleft()[1])
 
     def content(self) -> str:
         """Return the lines as a log without its beginning."""
-        lines = [FIRST_LINE]
-        for now_ns, text in self._lines:
-            seconds, left_ns = divmod(now_ns - self._start_ns, NS_PER_S)
-            lines.append(f"{seconds}.{left_ns:09d} {text}")
-        return "\n".join([*lines, ""])
-
-
-def _escaped(text: str) -> str:
-    return text.encode("unicode_escape").decode("ascii")
+        lines = [encode_line(LogHead(VERSION)), *(data for _, data in self._lines)]
+        return b"".join(lines).decode("utf-8")
 
 
 def main(pipe: MessagePipe, folder: str, max_bytes: str) -> int:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lss_motion.playing.player.events import Event, ShowBegan, ShowSummary
+    from lss_motion.playing.log import PortState
+    from lss_motion.playing.player.events import Event, PlayerRequest, ShowBegan, ShowSummary
     from lss_motion.playing.runner import Tap
     from lss_motion.stage import orders
 
@@ -77,10 +78,10 @@ class Both:
         for tap in self._taps:
             tap.happened(event, now_ns)
 
-    def requested(self, text: str, now_ns: int) -> None:
+    def requested(self, request: PlayerRequest, now_ns: int) -> None:
         for tap in self._taps:
-            tap.requested(text, now_ns)
+            tap.requested(request, now_ns)
 
-    def noted(self, bus: str, text: str, now_ns: int) -> None:
+    def noted(self, bus: str, state: PortState, now_ns: int, reason: str = "") -> None:
         for tap in self._taps:
-            tap.noted(bus, text, now_ns)
+            tap.noted(bus, state, now_ns, reason)

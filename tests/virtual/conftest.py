@@ -145,10 +145,10 @@ class Sent:
     def happened(self, event, now_ns):
         pass
 
-    def requested(self, text, now_ns):
+    def requested(self, request, now_ns):
         pass
 
-    def noted(self, bus, text, now_ns):
+    def noted(self, bus, state, now_ns, reason=""):
         pass
 
 

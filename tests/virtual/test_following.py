@@ -21,7 +21,7 @@ class Leader:
         self.at, self.following, self.acts = at, Following(rule), list(acts)
         self.texts, self.notes, self.course, self.steps = [], [], [], []
         self.start_ns = self.next_ns = None
-        self.following.note_request = lambda text, now_ns: self.notes.append((now_ns, text))
+        self.following.note_request = lambda asked, now_ns: self.notes.append((now_ns, asked.name))
 
     def turn(self, player, now_ns):
         """A condition of the test stage that is called each turn and is never met."""
@@ -91,7 +91,7 @@ def test_a_leader_that_comes_running_is_met_at_the_first_instant(stage, kit, dri
     assert played.report.outcome == "finished"
     assert leader.texts == ["waits for its leader", "in step with its leader"]
     assert np.abs(leader.off_s(5.0)).max() < 1e-6
-    assert [text.split()[0] for _, text in leader.notes].count("run_from") == 1
+    assert [name for _, name in leader.notes].count("run_from") == 1
     assert played.moves() == alone.moves(), "to the byte as a show that follows nothing"
 
 

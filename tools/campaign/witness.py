@@ -76,9 +76,9 @@ class Witness:
     def turned(self, now_ns: int) -> None:
         """Say nothing: `act` counts."""
 
-    def requested(self, text: str, now_ns: int) -> None: ...
+    def requested(self, request: object, now_ns: int) -> None: ...
 
-    def noted(self, bus: str, text: str, now_ns: int) -> None:
+    def noted(self, bus: str, state: str, now_ns: int, reason: str = "") -> None:
         """Note nothing: the bytes are enough."""
 
     def happened(self, event: Event, now_ns: int) -> None:

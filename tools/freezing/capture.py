@@ -270,8 +270,8 @@ def _file_items(name: str, path: Path, root: Path) -> list[Item]:
     if not path.exists():
         return [Item(name, "data", "not written\n")]
     text = _plain(path.read_bytes().decode("latin-1"), root)
-    if text.startswith("# lss_motion log"):
-        return _log_items(name, text)
+    if text.startswith('{"format":"lss_motion log",'):
+        return _log_items(name, text.encode("latin-1").decode("utf-8"))
     if path.suffix == ".json" and text.startswith('{\n "schema"'):
         return _report_items(name, json.loads(text))
     if path.suffix == ".yaml":

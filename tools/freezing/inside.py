@@ -263,8 +263,32 @@ def _news(
 
 
 def log_rows(text: str) -> Iterator[tuple[str, str, str, str]]:
-    """Yield the lines of a log in either form as `(instant, bus, mark, content)`."""
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            instant, bus, mark, *rest = line.split(" ", 3)
-            yield instant, bus, mark, rest[0] if rest else ""
+    """Yield the lines of a log as `(instant, bus, mark, content)`."""
+    import msgspec
+
+    from lss_motion.playing import log
+
+    decode = msgspec.json.Decoder(log.LogLine).decode
+    for line in map(decode, text.split("\n")[1:-1]):
+        instant = f"{line.at_ns // NS_PER_S}.{line.at_ns % NS_PER_S:09d}"
+        match line:
+            case log.SentLine():
+                yield instant, line.bus, ">", _escaped(line.text)
+            case log.ReceivedLine():
+                yield instant, line.bus, "<", _escaped(line.text)
+            case log.TurnedLine():
+                yield instant, "-", ".", ""
+            case log.HappenedLine():
+                yield instant, "-", "!", _escaped(repr(line.event))
+            case log.RequestedLine():
+                yield instant, "-", "=", line.request.text
+            case log.PortLine():
+                yield instant, line.bus, "~", _escaped(f"{line.state} {line.reason}".rstrip())
+            case log.SkippedLine():
+                yield instant, "-", "?", f"{line.count} lines lost"
+            case log.EndedLine():
+                yield instant, "-", "#", ""
+
+
+def _escaped(text: str) -> str:
+    return text.encode("unicode_escape").decode("ascii")

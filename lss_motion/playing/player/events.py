@@ -1,18 +1,20 @@
-"""What happened during a run, as values; `Player.next_event` returns the oldest first."""
+"""What happened during a run, and what it was asked for, as values.
+
+`Player.next_event` returns the oldest event first. Events and requests are lines of a log
+(`playing.log`): their fields are of its format.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping  # noqa: TC003  (a log is decoded by these types)
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from msgspec import Struct
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from lss_motion.robot.on_fault import Cause, FaultStep
-    from lss_motion.show.model import Cue
-
+from lss_motion.robot.on_fault import Cause, FaultStep  # noqa: TC001
+from lss_motion.show.model import Cue  # noqa: TC001
 
 WaitState = Literal["begun", "met", "timeout"]
 ShowOutcome = Literal["finished", "left", "stopped", "fault"]
@@ -38,46 +40,50 @@ class Phase(StrEnum):
     DONE = "done"
 
 
-class PhaseEntered(Struct, frozen=True):
+class _Event(Struct, frozen=True, tag_field="type", tag=True):
+    """In a log, the key `type` has the name of the class."""
+
+
+class PhaseEntered(_Event, frozen=True):
     """The player has entered a phase."""
 
     phase: Phase
 
 
-class Warned(Struct, frozen=True):
+class Warned(_Event, frozen=True):
     """Something that a person should know and that stops nothing."""
 
     text: str
 
 
-class Noted(Struct, frozen=True):
+class Noted(_Event, frozen=True):
     """Something that a person has asked for, as it is now."""
 
     text: str
 
 
-class MarkPassed(Struct, frozen=True):
+class MarkPassed(_Event, frozen=True):
     """The show has reached a keyframe."""
 
     label: str
     show_s: float
 
 
-class Waited(Struct, frozen=True):
+class Waited(_Event, frozen=True):
     """The show has stopped at a wait (`begun`), or goes on since it was met or timed out."""
 
     text: str
     state: WaitState
 
 
-class CueReached(Struct, frozen=True):
+class CueReached(_Event, frozen=True):
     """The show has reached a cue that is not motion; its sound must sound at `show_s`."""
 
     cue: Cue
     show_s: float
 
 
-class Faulted(Struct, frozen=True):
+class Faulted(_Event, frozen=True):
     """A fault, and the `step` of `on_fault` that was taken about it.
 
     `cause` is a text with the fault and its remedy; `joint` is empty for a fault of a port.
@@ -108,7 +114,7 @@ class Found(Struct, frozen=True, kw_only=True):
     accel_max_deg_s2: float | None
 
 
-class Checked(Struct, frozen=True):
+class Checked(_Event, frozen=True):
     """Every servo is present and may do what the program requires."""
 
     servos: tuple[Found, ...]
@@ -116,7 +122,7 @@ class Checked(Struct, frozen=True):
     """What a person may want to mend."""
 
 
-class ShowBegan(Struct, frozen=True):
+class ShowBegan(_Event, frozen=True):
     """A show of a run with many has begun at `from_s`."""
 
     name: str
@@ -155,7 +161,7 @@ class ShowSummary(Struct, frozen=True, kw_only=True):
     joints: Mapping[str, JointSummary]
 
 
-class ShowOver(Struct, frozen=True):
+class ShowOver(_Event, frozen=True):
     """A show of a run with many is over, or another one takes its place."""
 
     summary: ShowSummary
@@ -173,3 +179,20 @@ Event = (
     | ShowBegan
     | ShowOver
 )
+
+
+RequestName = Literal[
+    "go", "rate", "follow", "seek", "run_from", "hold_before_start", "sound", "stop"
+]
+
+
+class PlayerRequest(Struct, frozen=True):
+    """What the player was asked for: its call, and the arguments but for the instant."""
+
+    name: RequestName
+    values: tuple[float | str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """Name and values, for a person."""
+        return " ".join([self.name, *map(json.dumps, self.values)])

@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.approach import approach_s
-from lss_motion.playing.player.events import Phase
+from lss_motion.playing.player.events import Phase, PlayerRequest
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Following:
         """How far the leader is ahead of the show, while it is in step."""
         self.jumps = 0
         """How often the show was too far off, and rejoined."""
-        self.note_request: Callable[[str, int], None] = _forget
+        self.note_request: Callable[[PlayerRequest, int], None] = _forget
         """Notes what decides about the show, for a log."""
         self._leader: Leg | None = None
         self._coming: Leg | None = None
@@ -205,7 +205,7 @@ class Following:
             if self._place_s is None:
                 self._hold_before_start(player, now_ns)
             else:
-                self.note_request("rate 0.0", now_ns)
+                self.note_request(PlayerRequest("rate", (0.0,)), now_ns)
                 player.set_rate(0.0, now_ns)
         show = player.show
         if show is None or player.phase is not Phase.SHOW:
@@ -285,7 +285,7 @@ class Following:
         is_in_show = 0.0 <= leader.show_s < player.program.duration_s
         if is_in_show and abs(leader.show_s - here_s) > near_s:
             self.step = Step.JOINING
-            self.note_request(f"seek {leader.show_s!r}", now_ns)
+            self.note_request(PlayerRequest("seek", (leader.show_s,)), now_ns)
             player.seek(leader.show_s, now_ns)
 
     def _keep_step(self, player: Followed, show: Streamer, leader: Leg, now_ns: int) -> None:
@@ -308,8 +308,8 @@ class Following:
                 self._run_at(player, speed, now_ns)  # Else a fault has slowed it down.
             return
         leader = leader._replace(instant_ns=now_ns, show_s=leader_s)
-        text = f"follow {leader_s!r} {leader.rate!r} {TRIM_MAX_RATIO!r} {CLOSING_S!r}"
-        self.note_request(text, now_ns)
+        values = (leader_s, leader.rate, TRIM_MAX_RATIO, CLOSING_S)
+        self.note_request(PlayerRequest("follow", values), now_ns)
         self.off_s = player.follow(leader, now_ns, TRIM_MAX_RATIO, CLOSING_S)
         if self.off_s is None:
             return
@@ -369,7 +369,7 @@ class Following:
         self._is_beyond = False
         self._place_s, self.step = place_s, Step.JOINING
         self._run_at(player, 0.0, now_ns)
-        self.note_request(f"seek {place_s!r}", now_ns)
+        self.note_request(PlayerRequest("seek", (place_s,)), now_ns)
         player.seek(place_s, now_ns)
 
     # ---- what the player is asked for
@@ -378,17 +378,17 @@ class Following:
         if rate == self._rate:
             return
         self._rate = rate
-        self.note_request(f"rate {rate!r}", now_ns)
+        self.note_request(PlayerRequest("rate", (rate,)), now_ns)
         player.set_rate(rate, now_ns)
 
     def _run_from(self, player: Followed, show_s: float, now_ns: int) -> None:
         self._rate = 1.0
-        self.note_request(f"run_from {show_s!r}", now_ns)
+        self.note_request(PlayerRequest("run_from", (show_s,)), now_ns)
         player.run_from(show_s, now_ns)
 
     def _hold_before_start(self, player: Followed, now_ns: int) -> None:
         self._rate = 0.0
-        self.note_request("hold_before_start", now_ns)
+        self.note_request(PlayerRequest("hold_before_start"), now_ns)
         player.hold_before_start(now_ns)
 
     def _wake(self, player: Followed, instant_ns: int) -> None:
@@ -406,5 +406,5 @@ class Following:
             self._texts.append(text)
 
 
-def _forget(_text: str, _now_ns: int) -> None:
+def _forget(_request: PlayerRequest, _now_ns: int) -> None:
     """No log is written."""

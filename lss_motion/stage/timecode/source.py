@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import msgspec
 
 from lss_motion.errors import InputError
+from lss_motion.playing.player.events import PlayerRequest
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.timecode import receive, send
@@ -236,7 +237,7 @@ class _PausedByPerson:
         self._following.set_paused(is_paused=rate == 0.0)
 
     def stop(self, now_ns: int) -> None:
-        self._following.note_request("stop", now_ns)
+        self._following.note_request(PlayerRequest("stop"), now_ns)
         self._player.stop(now_ns)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401

@@ -12,6 +12,9 @@ from lss_motion.cli.careful import CAREFUL_RATE
 from lss_motion.cli.main import main as lss_motion
 from lss_motion.cli.play import main
 from lss_motion.errors import InputError
+from lss_motion.playing.log import HappenedLine, RequestedLine, read_log
+from lss_motion.playing.player.events import Phase, PhaseEntered, PlayerRequest
+from lss_motion.units import s_from_ns
 
 ROBOT = """
 robot: pair
@@ -58,9 +61,10 @@ def test_every_joint_passes_and_the_show_after_it_has_half_the_speed(play, tmp_p
         code, out, errors = play(*options, "--truth", truth, "--log", log, "--report", report)
         assert (code, errors) == (0, "")
         assert json.loads(report.read_text())["outcome"] == "finished"
-        lines = log.read_text().splitlines()
-        begins = next(line for line in lines if "Phase.SHOW" in line)
-        lasts_s.append(float(lines[-1].split()[0]) - float(begins.split()[0]))
+        lines = read_log(log).lines
+        entered = (one for one in lines if isinstance(one, HappenedLine))
+        begins = next(one for one in entered if one.event == PhaseEntered(Phase.SHOW))
+        lasts_s.append(s_from_ns(lines[-1].at_ns - begins.at_ns))
         pan_deg = np.loadtxt(truth, delimiter=",", skiprows=1)[:, 1]
         assert pan_deg.max() == pytest.approx(20.0, abs=1.0)
     assert 1.5 < lasts_s[1] / lasts_s[0] < 2.1
@@ -68,7 +72,8 @@ def test_every_joint_passes_and_the_show_after_it_has_half_the_speed(play, tmp_p
         assert f"  {name}: turned " in out
     assert f"plays at {CAREFUL_RATE:.0%} of its speed" in out
     assert not list(tmp_path.glob("*.learnt.yaml")), "simulated servos teach nothing"
-    assert "rate 0.5" in log.read_text()
+    requests = [line.request for line in lines if isinstance(line, RequestedLine)]
+    assert PlayerRequest("rate", (0.5,)) in requests
     assert lss_motion(["replay", "--again", str(log)]) == 0
 
 

@@ -15,6 +15,7 @@ import pytest
 from lss_motion.cli.main import main, make_parser
 from lss_motion.cli.play import main as play
 from lss_motion.errors import install_command
+from lss_motion.playing.log import read_log
 
 SEQUENCES = Path(__file__).resolve().parents[3] / "sequences"
 ROBOT = str(SEQUENCES / "robots" / "desk_arm.yaml")
@@ -283,9 +284,10 @@ def test_a_show_asks_its_servos_and_a_log_of_it_plays_again_without_them(
 ):
     log = tmp_path / "show.log"
     assert play([str(limitless_show), "--virtual", "--quiet", "--log", str(log)]) == 0
-    played = next(line for line in log.read_text("ascii").splitlines() if "# played: " in line)
-    limits = json.loads(played.partition("# played: ")[2])["limits"]
-    assert limits["elbow"] == {"speed_max_deg_s": 360.0, "accel_max_deg_s2": 1000.0}
+    assert read_log(log).played.limits["elbow"] == {
+        "speed_max_deg_s": 360.0,
+        "accel_max_deg_s2": 1000.0,
+    }
     assert main(["replay", "--again", str(log)]) == 0
     assert "outputs compared, 0 differ" in capsys.readouterr().out
 

@@ -1,35 +1,44 @@
 from __future__ import annotations
 
+import json
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
 
+import jsonschema
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lss_motion.errors import InputError
-from lss_motion.playing.log import FIRST_LINE, ByteLog
-from lss_motion.playing.player.events import MarkPassed
-
-LINE = re.compile(r"(\d+)\.(\d{9}) (\S+) ([<>]) (.*)")
+from lss_motion.playing.log import (
+    ByteLog,
+    EndedLine,
+    HappenedLine,
+    PlayedShow,
+    PortLine,
+    ReceivedLine,
+    RequestedLine,
+    SentLine,
+    SkippedLine,
+    TurnedLine,
+    log_schema,
+    read_log,
+)
+from lss_motion.playing.player.events import MarkPassed, PlayerRequest
 
 
 def read_back(path):
     """Parse a log by its docstring alone."""
-    first, *lines = path.read_text("ascii").split("\n")
-    assert first == FIRST_LINE
+    first, *lines = path.read_text("utf-8").split("\n")
+    assert json.loads(first) == {"format": "lss_motion log", "version": 3}
     assert lines.pop() == ""
-    assert lines.pop().endswith(" - #")
-    found = []
-    for line in lines:
-        whole_s, left_ns, bus, way, text = LINE.fullmatch(line).groups()
-        data = text.encode("ascii").decode("unicode_escape").encode("latin-1")
-        found.append((int(whole_s) * 10**9 + int(left_ns), bus, way, data))
-    return found
+    *rows, (last, _) = map(json.loads, lines)
+    assert last == "ended"
+    return [(at_ns, bus, kind, text.encode("latin-1")) for kind, at_ns, bus, text in rows]
 
 
 @settings(
@@ -40,7 +49,7 @@ def read_back(path):
         st.tuples(
             st.integers(0, 10**13),
             st.sampled_from(["main", "left"]),
-            st.sampled_from("<>"),
+            st.sampled_from(["sent", "received"]),
             st.binary(min_size=1, max_size=40),
         )
     )
@@ -50,28 +59,56 @@ def test_a_log_gives_back_the_same_bytes(tmp_path, entries):
     start_ns = 123_456_789_000
     with ByteLog(path).started(start_ns) as log:
         for at_ns, bus, way, data in entries:
-            note = log.sent if way == ">" else log.received
-            note(bus, data, start_ns + at_ns)
+            getattr(log, way)(bus, data, start_ns + at_ns)
     assert read_back(path) == entries
+    made = {"sent": SentLine, "received": ReceivedLine}
+    *lines, _ = read_log(path).lines
+    assert lines == [made[way](at_ns, bus, data.decode("latin-1"))
+                     for at_ns, bus, way, data in entries]  # fmt: skip
+    assert [line.data for line in lines] == [data for *_, data in entries]
 
 
-def test_lines_look_as_in_the_docstring(tmp_path):
-    path = tmp_path / "bytes.log"
-    with ByteLog(path, played={"file": "show.yaml"}) as log:
+def test_lines_look_as_in_the_docstring_and_are_read_back_as_they_were(tmp_path):
+    path, played = tmp_path / "bytes.log", PlayedShow(file="show.yaml", speed=0.5)
+    with ByteLog(path, played=played) as log:
         log.sent("main", b"#5QD\r", 1_234_567)
         log.received("main", b"*5QD132\r\xff", 4_100_210)
         log.turned(4_180_007)
-        log.requested("rate 0.5", 1_203_004_100)
-        log.happened(MarkPassed("up", 1.0), 1_203_104_100)
-    assert path.read_text().splitlines()[1:] == [
-        '# played: {"file": "show.yaml"}',
-        "0.001234567 main > #5QD\\r",
-        "0.004100210 main < *5QD132\\r\\xff",
-        "0.004180007 - .",
-        "1.203004100 - = rate 0.5",
-        "1.203104100 - ! MarkPassed(label='up', show_s=1.0)",
-        "1.203104100 - #",
+        log.requested(PlayerRequest("rate", (0.5,)), 1_203_004_100)
+        log.happened(MarkPassed("up", np.float64(1.0)), 1_203_104_100)
+        log.noted("main", "lost", 1_500_000_000, "/dev/ttyUSB0: the device is gone")
+        log.noted("main", "found", 1_900_000_000)
+    first, *texts = path.read_text("utf-8").splitlines()
+    assert first.startswith(
+        '{"format":"lss_motion log","version":3,"played":{"file":"show.yaml","robot":null,"speed":0'
+    )
+    assert texts == [
+        r'["sent",1234567,"main","#5QD\r"]',
+        r'["received",4100210,"main","*5QD132\rÿ"]',
+        '["turned",4180007]',
+        '["requested",1203004100,{"name":"rate","values":[0.5]}]',
+        '["happened",1203104100,{"type":"MarkPassed","label":"up","show_s":1.0}]',
+        '["port",1500000000,"main","lost","/dev/ttyUSB0: the device is gone"]',
+        '["port",1900000000,"main","found",""]',
+        '["ended",1900000000]',
     ]
+    read = read_log(path)
+    assert (read.played, read.is_whole) == (played, True)
+    assert read.lines == [
+        SentLine(1_234_567, "main", "#5QD\r"),
+        ReceivedLine(4_100_210, "main", "*5QD132\r\xff"),
+        TurnedLine(4_180_007),
+        RequestedLine(1_203_004_100, PlayerRequest("rate", (0.5,))),
+        HappenedLine(1_203_104_100, MarkPassed("up", 1.0)),
+        PortLine(1_500_000_000, "main", "lost", "/dev/ttyUSB0: the device is gone"),
+        PortLine(1_900_000_000, "main", "found"),
+        EndedLine(1_900_000_000),
+    ]
+    valid = jsonschema.Draft202012Validator(log_schema())
+    for text in (first, *texts):
+        valid.validate(json.loads(text))
+    assert not valid.is_valid(["sent", 1, "main"])
+    assert not valid.is_valid(["noticed", 1])
 
 
 def test_a_slow_disk_delays_no_command_and_lost_lines_are_counted(tmp_path, monkeypatch):
@@ -86,11 +123,10 @@ def test_a_slow_disk_delays_no_command_and_lost_lines_are_counted(tmp_path, monk
         for number in range(20):
             time.sleep(0.05)
             log.sent("main", b"#5QD\r", (number + 1) * 10**9)
-    lines = path.read_text().splitlines()
-    [said] = [line for line in lines if " ? " in line]
-    lost = int(said.split()[3])
-    assert lost > 0
-    assert len(lines) == 3 + count + 20 - lost
+    lines = read_log(path).lines
+    [said] = [line for line in lines if isinstance(line, SkippedLine)]
+    assert said.count > 0
+    assert len(lines) == 2 + count + 20 - said.count
 
 
 def test_a_log_is_whole_when_the_player_is_killed(tmp_path):
@@ -107,7 +143,7 @@ def test_a_log_is_whole_when_the_player_is_killed(tmp_path):
             break
         time.sleep(0.05)
     assert len(path.read_text().splitlines()) > 800, "all but the last tenth of a second"
-    assert "#\n" not in path.read_text(), "its end is missing"
+    assert not read_log(path).is_whole, "its end is missing"
 
 
 def test_noted_lines_are_in_the_file_after_a_crash(tmp_path):
@@ -120,7 +156,7 @@ def test_noted_lines_are_in_the_file_after_a_crash(tmp_path):
 
     with pytest.raises(RuntimeError):
         crash()
-    assert read_back(path) == [(0, "main", ">", b"#254H\r")]
+    assert read_back(path) == [(0, "main", "sent", b"#254H\r")]
 
 
 def test_a_log_that_cannot_be_written_is_an_input_error(tmp_path):

@@ -14,24 +14,24 @@ import pytest
 from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.errors import InputError
+from lss_motion.playing.log import read_log
 from lss_motion.playing.log_mcap import mcap_of_log
-from lss_motion.playing.replay import read_log
 from lss_motion.robot.load import load_robot
 
 reader = pytest.importorskip("mcap.reader")
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 
-LOG = r"""# lss_motion log 2
-0.500000000 main > #1D300T1000\r#2
-0.500100000 main > D-50T1000\r
-0.600000000 main < *1QD
-0.700000000 main < 150\r*2QD-20\r*9QD5\r
-0.750000000 - ! MarkPassed(label='up', show_s=1.5)
-0.760000000 - ! PhaseEntered(phase=<Phase.SHOW: 'playing'>)
-0.770000000 - = rate 0.5
-0.780000000 - ! not python (
-0.800000000 - #
+LOG = r"""{"format":"lss_motion log","version":3}
+["sent",500000000,"main","#1D300T1000\r#2"]
+["sent",500100000,"main","D-50T1000\r"]
+["received",600000000,"main","*1QD"]
+["received",700000000,"main","150\r*2QD-20\r*9QD5\r"]
+["happened",750000000,{"type":"MarkPassed","label":"up","show_s":1.5}]
+["happened",760000000,{"type":"PhaseEntered","phase":"playing"}]
+["requested",770000000,{"name":"rate","values":[0.5]}]
+["port",780000000,"main","lost","gone"]
+["ended",800000000]
 """
 ROBOT = """\
 robot: two
@@ -77,8 +77,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_readings_targets_and_events_have_their_times(folder: Path) -> None:
-    _, entries = read_log(folder / "run.log")
-    data = mcap_of_log(entries, load_robot(folder / "robot.yaml"))
+    lines = read_log(folder / "run.log").lines
+    data = mcap_of_log(lines, load_robot(folder / "robot.yaml"))
     found = [
         (channel.topic, schema.name, message.log_time, message.data)
         for schema, channel, message in reader.make_reader(io.BytesIO(data)).iter_messages()
@@ -104,14 +104,14 @@ def test_readings_targets_and_events_have_their_times(folder: Path) -> None:
         (750_000_000, {"type": "MarkPassed", "label": "up", "show_s": 1.5}),
         (760_000_000, {"type": "PhaseEntered", "phase": "playing"}),
         (770_000_000, {"type": "Request", "text": "rate 0.5"}),
-        (780_000_000, {"type": "Event", "text": "not python ("}),
+        (780_000_000, {"type": "Port", "bus": "main", "text": "lost gone"}),
     ]
 
 
 def test_a_messages_is_decoded_by_the_support_for_ros(folder: Path) -> None:
     support = pytest.importorskip("mcap_ros2.decoder", reason="install lss-motion[dev]")
-    _, entries = read_log(folder / "run.log")
-    data = mcap_of_log(entries, load_robot(folder / "robot.yaml"))
+    lines = read_log(folder / "run.log").lines
+    data = mcap_of_log(lines, load_robot(folder / "robot.yaml"))
     opened = reader.make_reader(io.BytesIO(data), decoder_factories=[support.DecoderFactory()])
     decoded = [m for _, _, _, m in opened.iter_decoded_messages(topics=["/joint_states"])]
     assert [m.name for m in decoded] == [["pan"], ["tilt"]]
@@ -154,6 +154,6 @@ def test_without_the_library_the_message_tells_what_to_install(monkeypatch, fold
         return found(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    _, entries = read_log(folder / "run.log")
-    with pytest.raises(InputError, match=r"lss-motion\[mcap\]"):
-        mcap_of_log(entries, load_robot(folder / "robot.yaml"))
+    lines = read_log(folder / "run.log").lines
+    with pytest.raises(InputError, match=r"MCAP needs a library: .*mcap"):
+        mcap_of_log(lines, load_robot(folder / "robot.yaml"))

@@ -115,10 +115,10 @@ class Tap:
     def happened(self, event, now_ns):
         pass
 
-    def requested(self, text, now_ns):
+    def requested(self, request, now_ns):
         pass
 
-    def noted(self, bus, text, now_ns):
+    def noted(self, bus, state, now_ns, reason=""):
         pass
 
     def received(self, bus, data, now_ns):

@@ -197,7 +197,7 @@ def test_the_show_follows_what_is_heard_and_a_replay_of_its_log_sends_the_same(
     code, report = show("--log", str(log))
     assert (code, report["sound"]["leads"]) == (0, True)
     assert report["sound"]["device_ppm"] == pytest.approx(200.0, abs=0.1)
-    assert " = follow " in log.read_text()
+    assert '"name":"follow"' in log.read_text()
     capsys.readouterr()
     from lss_motion.cli.main import main
 

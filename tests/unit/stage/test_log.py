@@ -7,7 +7,6 @@ import os
 
 import pytest
 
-from lss_motion.playing.log import FIRST_LINE
 from lss_motion.stage.log import RING_MAX_BYTES, Ring, StageLog, Writer
 from lss_motion.stage.model import LogRule
 
@@ -103,9 +102,9 @@ def test_the_ring_keeps_the_last_seconds_as_a_log_within_its_bound():
         ring.sent("main", b"#1QD\r", (5 + number) * NS // 10)
         ring.received("main", b"*1QD%d\r" % number, (5 + number) * NS // 10)
     lines = ring.content().splitlines()
-    assert lines[0] == FIRST_LINE
+    assert json.loads(lines[0]) == {"format": "lss_motion log", "version": 3}
     assert len(lines) == 1 + 2 * 101
-    assert lines[-1] == r"35.400000000 main < *1QD399\r"
+    assert lines[-1] == r'["received",35400000000,"main","*1QD399\r"]'
     for number in range(30):
         ring.sent("main", b"x" * 100_000, 45 * NS + number)
     assert len(ring.content()) < RING_MAX_BYTES + 100
