@@ -356,7 +356,7 @@ def main(pipe: MessagePipe, path: str) -> int:
     mislead.
     """
     lower_priority()
-    typed: TypedPipe[bytes] = TypedPipe(pipe, Any)
+    typed: TypedPipe[bytes] = TypedPipe(pipe)
     problem: OSError | None = None
     try:
         with Path(path).open("ab", buffering=0) as file:

@@ -193,11 +193,11 @@ Received = TypeVar("Received")
 class TypedPipe(Generic[Received]):
     """A pipe on which the other end sends values of one type. Nothing raises.
 
-    `receives` is that type: a tagged union of `Struct`s. Objects and bytes arrive as they were
-    sent, of any type; who sends them states them in `Received`.
+    `receives` is that type: a tagged union of `Struct`s. Objects and bytes arrive as they were sent
+    and need no `receives`.
     """
 
-    def __init__(self, pipe: MessagePipe, receives: Any) -> None:  # noqa: ANN401  (a union)
+    def __init__(self, pipe: MessagePipe, receives: Any = None) -> None:  # noqa: ANN401  (a union)
         self.pipe = pipe
         self.has_ended = False
         """Whether the other end is gone, and all that it sent was returned."""

@@ -51,7 +51,7 @@ class ChildProcess(Closing, Generic[Received]):
         self,
         module: str,
         *words: str,
-        receives: Any = Any,  # noqa: ANN401  (a union)
+        receives: Any = None,  # noqa: ANN401  (a union)
         inherits: Sequence[int] = (),
         is_quiet: bool = False,
         starts_programs: bool = False,

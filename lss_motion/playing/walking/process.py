@@ -6,11 +6,8 @@ so taking a reply costs the loop that plays well below a millisecond.
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import signal
 import time
-from multiprocessing import resource_tracker
+from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,14 +18,15 @@ from lss_motion.planning.program.response import PiecewiseProfile
 from lss_motion.playing.walking.planner import PlanRequest, WalkPlanner
 from lss_motion.show.gait.stepping import Twist
 from lss_motion.system.closing import Closing
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.process import ChildProcess
+from lss_motion.system.reactor import serve
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from multiprocessing.connection import Connection
-
     from lss_motion.playing.walking.planner import PlanReply
     from lss_motion.robot.model import Robot
     from lss_motion.show.gait.model import Gait
+    from lss_motion.system.messages import MessagePipe
 
 TRIAL_S: Final = 1.0
 TRIAL: Final = Twist(forward_mm_s=1.0)
@@ -46,75 +44,43 @@ class PlannerProcess(Closing):
     """
 
     def __init__(self, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._connection, other = context.Pipe()
-        self._process = context.Process(
-            target=_serve, args=(other, gait, robot, tolerance_deg), daemon=True
-        )
-        with _keyboard_signals_blocked():
-            self._process.start()
-        other.close()
+        self._child: ChildProcess[Any] = ChildProcess(__name__)
+        self._child.send_object((gait, robot, tolerance_deg))
+        self._replies: deque[Any] = deque()
         self.planning_s = 0.0
 
     def __enter__(self) -> PlannerProcess:
         """Wait until the planner is ready; raises `PlanningError` if it does not start."""
-        is_ready = False
-        with contextlib.suppress(EOFError, OSError):
-            is_ready = self._connection.poll(START_MAX_S)
-            self.planning_s = float(self._connection.recv()) if is_ready else 0.0
-        if is_ready and self.planning_s > 0.0:
-            return self
-        self.close()
-        raise PlanningError(
-            "the process that plans the walk does not start; is this computer busy?"
-        )
+        ready = self._child.receive_within(START_MAX_S)
+        if not ready:
+            self.close()
+            raise PlanningError(
+                "the process that plans the walk does not start; is this computer busy?"
+            )
+        self.planning_s = float(ready[0])
+        return self
 
     def close(self) -> None:
         """End the planner process."""
-        self._connection.close()
-        self._process.join(CLOSE_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        self._child.end(CLOSE_S)
 
     def fileno(self) -> int:
         """Return what becomes readable when there is a reply."""
-        return self._connection.fileno()
+        return self._child.fileno()
 
     def send(self, request: PlanRequest, now_ns: int) -> None:  # noqa: ARG002  (real time passes)
         """Send a request; raises `PlanningError` if the process has ended."""
-        try:
-            self._connection.send(request)
-        except OSError as error:
-            raise PlanningError(LOST) from error
+        if not self._child.send_object(request):
+            raise PlanningError(LOST)
 
     def poll(self, now_ns: int) -> PlanReply | None:  # noqa: ARG002
         """Return the reply once; raises `PlanningError` if the process has ended."""
-        try:
-            if not self._connection.poll():
-                return None
-            return unpacked(*self._connection.recv())
-        except (EOFError, OSError) as error:
-            raise PlanningError(LOST) from error
-
-
-@contextlib.contextmanager
-def _keyboard_signals_blocked() -> Iterator[None]:
-    """Block the signals of the keyboard in a process that is started meanwhile.
-
-    The process that plays handles them and ends this one.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # It unblocks them when it starts.
-    before = signal.pthread_sigmask(
-        signal.SIG_BLOCK, (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
-    )
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self._replies += self._child.receive()
+        if self._replies:
+            return unpacked(*self._replies.popleft())
+        if self._child.has_ended:
+            raise PlanningError(LOST)
+        return None
 
 
 def packed(reply: PlanReply) -> tuple[PlanReply, Any]:
@@ -134,14 +100,22 @@ def unpacked(reply: PlanReply, tables: Any) -> PlanReply:  # noqa: ANN401  (from
     return replace(reply, extension=replace(reply.extension, profiles=profiles))
 
 
-def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
-    """Plan for each request until the other end closes the connection."""
-    planner = WalkPlanner(gait, robot, tolerance_deg)
-    trial = PlanRequest(commanded=TRIAL, was_taken=False, begins_s=TRIAL_S)
-    planner.plan(trial)  # Imports what planning needs.
-    started_s = time.monotonic()
-    planner.plan(trial)
-    with contextlib.suppress(EOFError, OSError):
-        connection.send(time.monotonic() - started_s)
-        while True:
-            connection.send(packed(planner.plan(connection.recv())))
+def main(pipe: MessagePipe) -> int:
+    """Plan for each request until the pipe ends."""
+    typed: TypedPipe[Any] = TypedPipe(pipe)
+    planner: WalkPlanner | None = None
+
+    def obey(message: Any) -> None:  # noqa: ANN401
+        nonlocal planner
+        if planner is not None:
+            typed.send_object(packed(planner.plan(message)))
+            return
+        planner = WalkPlanner(*message)
+        trial = PlanRequest(commanded=TRIAL, was_taken=False, begins_s=TRIAL_S)
+        planner.plan(trial)  # Imports what planning needs.
+        started_s = time.monotonic()
+        planner.plan(trial)
+        typed.send_object(time.monotonic() - started_s)
+
+    serve(typed, obey)
+    return 0

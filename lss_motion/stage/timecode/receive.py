@@ -282,7 +282,7 @@ SOURCES: Final[dict[str, Any]] = {
 def main(pipe: MessagePipe, words: str) -> int:
     """Read until the pipe ends."""
     spec = msgspec.json.decode(words, type=FollowSpec)
-    typed: TypedPipe[None] = TypedPipe(pipe, None)
+    typed: TypedPipe[None] = TypedPipe(pipe)
     chased = Chase(STYLES[spec.kind], freewheel_s=spec.freewheel_s, offset_s=spec.offset_s)
     try:
         source: Source = SOURCES[spec.kind](spec, chased.say)

@@ -1,7 +1,8 @@
 from __future__ import annotations
 
-import multiprocessing
+import os
 import select
+import signal
 from pathlib import Path
 
 import pytest
@@ -58,8 +59,7 @@ def test_the_process_replies_as_the_planner_and_its_end_is_an_error(dog):
         reply = link.poll(0)
         expected = WalkPlanner(*dog, 0.2).plan(AHEAD)
         assert [*reply.extension.moves] == [*expected.extension.moves]
-        (process,) = multiprocessing.active_children()
-        process.kill()
-        process.join()
+        os.kill(link._child.pid, signal.SIGKILL)
+        assert select.select([link.fileno()], [], [], 60.0)[0]
         with pytest.raises(PlanningError, match="goes to a stand by itself"):
             link.poll(0)
