@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.process import start_process
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.messages import Kind, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,11 +58,10 @@ class PlayerProcess:
         stops.add_player(self._stop_end)
         rule = LossRule(on_lost, silent_s=SILENT_S)
         with players_end:
-            self._process, own = start_process(job, players_end, rule=rule, options=options)
-        own.setblocking(False)  # noqa: FBT003
-        self._link = MessagePipe(own)
+            self._process = start_process(job, players_end, rule=rule, options=options)
+        self._link = self._process.pipe
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(own.fileno(), self._read)
+        self._loop.add_reader(self._link.fileno(), self._read)
         self._timer = self._loop.call_later(BEAT_S, self._beat)
 
     @property
@@ -109,5 +108,5 @@ class PlayerProcess:
 
     async def _reap(self) -> None:
         """Collect the process; it ends right after it has closed its link."""
-        while self._process.poll() is None:
+        while self._process.exit_code() is None:
             await asyncio.sleep(0.05)

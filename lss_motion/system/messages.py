@@ -151,6 +151,17 @@ class MessagePipe:
             raise PipeClosedError("the other end is closed")
         return messages
 
+    def receive_fileno(self) -> int | None:
+        """Wait for the next message, which has no content, and return its file number.
+
+        None: the other end is closed.
+        """
+        self._receives_filenos = True
+        with contextlib.suppress(PipeClosedError):
+            self.receive(_HEAD.size)
+        self._receives_filenos = False
+        return self.filenos.popleft() if self.filenos else None
+
     def _read(self, limit_bytes: int) -> bytes:
         if not self._receives_filenos:
             return self._socket.recv(limit_bytes)
@@ -180,6 +191,11 @@ class MessagePipe:
         """Tell the other end that nothing more comes; what it sends can still be received."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
+
+    def shut(self) -> None:
+        """End both directions, also for a thread that waits in `receive`."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Close this end."""

@@ -44,7 +44,7 @@ BEGIN: Final = (
 class ChildProcess(Closing, Generic[Received]):
     """One process, in which `main(pipe, *words)` of `module` runs.
 
-    Only `receive_within` and `end` wait.
+    Only `receive_within`, `wait` and `end` wait.
     """
 
     def __init__(
@@ -138,6 +138,12 @@ class ChildProcess(Closing, Generic[Received]):
                 return arrived
         return []
 
+    def wait(self, left_s: float | None = None) -> int | None:
+        """Wait until the process has ended, for `left_s` at most; return as `exit_code` does."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(left_s)
+        return self._process.poll()
+
     def end(self, ask_s: float, take: Callable[[Received], None] = lambda _: None) -> int | None:
         """Let it end, and kill it after `ask_s`; return its exit code, None if it was killed.
 
@@ -157,9 +163,7 @@ class ChildProcess(Closing, Generic[Received]):
             wait_for([self.fileno()], left_s, writable=writable)
             for message in self.receive():
                 take(message)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(max(end_s - time.monotonic(), 0.0))
-        code = self._process.poll()
+        code = self.wait(max(end_s - time.monotonic(), 0.0))
         if code is None or self._starts_programs:
             self._kill()
         for message in self.receive():

@@ -137,19 +137,18 @@ def test_a_client_triggers_enables_and_stops_a_stage_and_sees_all_of_it(planned)
 
 def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned, tmp_path):
     options = {"is_virtual": True, "lasts_s": 20.0, "log_folder": str(tmp_path), "seed": 3}
-    process, own = start_process(packed(stage_job(planned)), options=options)
-    link = MessagePipe(own)
-    own.settimeout(30)
+    process = start_process(packed(stage_job(planned)), options=options)
+    link = process.pipe
+    link.set_blocking(is_blocking=True, timeout_s=30)
     events, objects = [], []
     while not objects:
         found, _, more = read(link)
         events += found
         objects += more
-        if process.poll() is not None and not found:
+        if process.exit_code() is not None and not found:
             break
-    process.wait(timeout=30)
+    assert process.wait(30) == 0
     link.close()
-    assert process.returncode == 0
     assert objects[0].error is None
     assert [one.exit_code for one in events if isinstance(one, m.Ended)] == [None]
     (file,) = tmp_path.glob("stage-*.jsonl")

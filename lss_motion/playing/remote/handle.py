@@ -15,7 +15,6 @@ import contextlib
 import math
 import pickle
 import queue
-import socket
 import sys
 import threading
 from typing import TYPE_CHECKING, Final
@@ -32,7 +31,7 @@ from lss_motion.playing.remote.process import packed, start_process
 from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.robot.model import Robot
 from lss_motion.system.closing import Closing
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.messages import Kind, PipeClosedError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -127,8 +126,9 @@ class Handle(Closing):
         self._program = job.program
         self.phase = "connecting"
         """The phase of the player, by the names of `playing.player.events.Phase`."""
-        self._process, self._socket = start_process(packed(job))
-        self._link = MessagePipe(self._socket)
+        self._process = start_process(packed(job))
+        self._link = self._process.pipe
+        self._link.set_blocking(is_blocking=True)  # A thread receives; `send` gives it all.
         # A handle that is forgotten goes on playing; the end of this process ends the show.
         self._listener = threading.Thread(target=self._listen, name="lss-handle", daemon=True)
         self._listener.start()
@@ -255,8 +255,7 @@ class Handle(Closing):
         if not self._ended.wait(STOP_S):
             self.estop()
             self._ended.wait(STOP_S)
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # The player sees its end, should it hang on.
+        self._link.shut()  # The player sees its end, should it hang on.
         self._process.wait()
         self._listener.join()
 

@@ -1,29 +1,26 @@
-"""The process that plays: `python -m lss_motion.playing.remote.process FD [STOP_FD] [MODULE …]`.
+"""The process that plays.
 
-It imports the modules, and waits for one job: a file with it, and with how it is played, is passed
-over the socket `FD`. It plays the job and sends the result to the same socket. When the other end
-is closed it does what the rule of the job says, by default it stops and makes the robot safe: the
-socket of a killed process is closed by the system. Stops may also come from the socket `STOP_FD`.
+It imports some modules, and waits for one job: a file with it, and with how it is played, is passed
+over its pipe. It plays the job and sends the result over the same pipe. When the other end is
+closed it does what the rule of the job says, by default it stops and makes the robot safe: the pipe
+of a killed process is closed by the system. Stops may also come over a second pipe.
 """
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 import pickle
 import signal
 import socket
-import subprocess
-import sys
 import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from msgspec.structs import replace
 
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.system.messages import Kind, MessagePipe
+from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,6 +40,7 @@ class Changeable(Protocol):
     options: dict[str, Any]
 
 
+ENDING: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 SEND_S: Final = 5.0
 """The result is dropped if the client does not take it for so long."""
 
@@ -54,77 +52,62 @@ def packed(job: Task) -> bytes:
 
 def begin_process(
     stop_end: socket.socket | None = None, modules: Sequence[str] = ()
-) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start a process that waits for its job (`give_job`); return it and this end of its link.
+) -> ChildProcess[Any]:
+    """Start a process that waits for its job (`give_job`).
 
-    It imports `modules` meanwhile. It ends when its link is closed.
+    It imports `modules` meanwhile. It ends when its pipe is closed.
     """
-    own, other = socket.socketpair()
-    top = str(Path(__file__).resolve().parents[2])
-    paths = [top, *filter(None, [os.environ.get("PYTHONPATH")])]
-    filenos = [end.fileno() for end in (other, stop_end) if end is not None]
-    with other:
-        process = subprocess.Popen(  # noqa: S603  (our own program)
-            # -P: no module of the current folder is imported in place of an installed one.
-            [
-                sys.executable,
-                "-P",
-                "-m",
-                "lss_motion.playing.remote.process",
-                *map(str, filenos),
-                *modules,
-            ],
-            pass_fds=filenos,
-            stdin=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            start_new_session=True,  # Ctrl-C reaches this process only.
-        )
-    return process, own
+    stops = [] if stop_end is None else [stop_end.fileno()]
+    return ChildProcess(__name__, *map(str, stops), *modules, inherits=stops)
 
 
-def give_job(own: socket.socket, job: bytes, **changes: object) -> None:
-    """Let a process that waits play a `packed` job; if it has ended, its link shows that.
+def give_job(process: ChildProcess[Any], job: bytes, **changes: object) -> None:
+    """Let a process that waits play a `packed` job; if it has ended, its pipe shows that.
 
-    `changes` replace fields of the job, its `options` one by one.
+    `changes` replace fields of the job, its `options` one by one. The job is a file, so that
+    nothing here waits until the process takes it.
     """
     with tempfile.TemporaryFile() as job_file:
         job_file.write(job)
         pickle.dump(changes, job_file)
         job_file.seek(0)
-        with contextlib.suppress(OSError):
-            socket.send_fds(own, [b"j"], [job_file.fileno()])
+        process.pipe.send_fileno(Kind.OBJECT, b"", job_file.fileno())
 
 
 def start_process(
     job: bytes, stop_end: socket.socket | None = None, **changes: object
-) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start the process that plays a `packed` job; return it and this end of its link.
+) -> ChildProcess[Any]:
+    """Start the process that plays a `packed` job.
 
     The `changes`: see `give_job`. Stops may also be sent to the other end of `stop_end`, which
     stays open here.
     """
-    process, own = begin_process(stop_end)
-    give_job(own, job, **changes)
-    return process, own
+    process = begin_process(stop_end)
+    give_job(process, job, **changes)
+    return process
 
 
-def main() -> int:
-    """Play the job that comes over the socket, steered through it; return an exit code."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Without a job it ends without a word.
+def main(link: MessagePipe, *words: str) -> int:
+    """Play the job that comes over the pipe, steered through it; return an exit code.
+
+    The words are the file number of a pipe with stops, if there is one, and modules to import.
+    """
+    for number in ENDING:
+        signal.signal(number, signal.SIG_DFL)  # Without a job it ends without a word.
     parent = os.getppid()
-    words = sys.argv[1:]
-    ends = [socket.socket(fileno=int(word)) for word in words if word.isdigit()]
-    for word in words[len(ends) :]:
-        importlib.import_module(word)
-    job = _job(ends[0])
+    stops: MessagePipe | None = None
+    for word in words:
+        if word.isdigit():
+            stops = MessagePipe(socket.socket(fileno=int(word)))
+            stops.set_blocking(is_blocking=False)
+        else:
+            importlib.import_module(word)
+    job = _job(link)
     if job is None:
         return 0
-    links = [MessagePipe(end) for end in ends]
-    link, stops = links[0], links[1] if len(links) > 1 else None
-    for one in links:
-        one.set_blocking(is_blocking=False)
+    link.set_blocking(is_blocking=False)
     operator = Operator(link, stops=stops, is_orphan=lambda: os.getppid() != parent)
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+    for number in ENDING:
         signal.signal(number, lambda _number, _frame: operator.note_signal())
     outcome = job.run(operator)
     link.set_blocking(is_blocking=True, timeout_s=SEND_S)
@@ -135,12 +118,12 @@ def main() -> int:
     return 0
 
 
-def _job(end: socket.socket) -> Task | None:
-    """Wait for the job, and return it with its changes; None: the link was closed before."""
-    _, filenos, _, _ = socket.recv_fds(end, 1, 1)
-    if not filenos:
+def _job(link: MessagePipe) -> Task | None:
+    """Wait for the job, and return it with its changes; None: the pipe was closed before."""
+    fileno = link.receive_fileno()
+    if fileno is None:
         return None
-    with open(filenos[0], "rb") as file:  # noqa: PTH123  (a file that was passed)
+    with open(fileno, "rb") as file:  # noqa: PTH123  (a file that was passed)
         # It comes from the process that started this one.
         job: Task = pickle.load(file)  # noqa: S301
         changes: dict[str, Any] = pickle.load(file)  # noqa: S301
@@ -149,7 +132,3 @@ def _job(end: socket.socket) -> Task | None:
     options = {**job.options, **changes.pop("options", {})}
     changed: Task = replace(job, options=options, **changes)  # type: ignore[type-var]
     return changed
-
-
-if __name__ == "__main__":
-    sys.exit(main())

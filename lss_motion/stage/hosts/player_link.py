@@ -8,9 +8,6 @@ brakes and holds.
 
 from __future__ import annotations
 
-import contextlib
-import select
-import subprocess
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final
@@ -30,14 +27,16 @@ from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.hosts.figure import KEPT_PLANS, PlayerView
 from lss_motion.stage.hosts.messages import hash_of
 from lss_motion.stage.hosts.plans import read_plan
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.messages import Kind, PipeClosedError
+from lss_motion.system.reactor import wait_for
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
-    import socket
     from collections.abc import Callable
 
     from lss_motion.robot.model import Robot
+    from lss_motion.system.messages import MessagePipe
+    from lss_motion.system.process import ChildProcess
 
 BACKSTOP_S: Final = 1.0
 """Without legs for so much longer than the freewheel, the player holds by itself: its figure tells
@@ -74,9 +73,9 @@ class PlayerLink:
         self._rule = FollowRule(
             freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE, goes_to_it=True
         )
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: ChildProcess[Any] | None = None
         self._link: MessagePipe | None = None
-        self._spare: tuple[subprocess.Popen[bytes], socket.socket] | None = None
+        self._spare: ChildProcess[Any] | None = None
         """The next player, which waits for its job."""
         self._view = PlayerView()
         self._phase = ""
@@ -92,7 +91,7 @@ class PlayerLink:
         self._jobs: dict[str, bytes] = {}
         """The packed jobs of the plans that were prepared last, by their hashes."""
         self._is_stopped = self._is_closing = False
-        self._leaving: list[subprocess.Popen[bytes]] = []
+        self._leaving: list[ChildProcess[Any]] = []
         """Processes that end by themselves."""
         self.reports: list[dict[str, Any]] = []
         """Reports of the runs that have ended."""
@@ -132,20 +131,19 @@ class PlayerLink:
         if job is None:
             self._view = PlayerView("failed", None, "the plan is not prepared", cause="error")
             return
-        self._process, end = self._take_spare()
-        give_job(end, job, options={"start_s": start_s or None})
-        self._link = MessagePipe(end)
-        self._link.set_blocking(is_blocking=False)
+        self._process = self._take_spare()
+        give_job(self._process, job, options={"start_s": start_s or None})
+        self._link = self._process.pipe
         self._phase, self._show_s, self._first_ns = "", None, None
         self._cause, self._hottest_c, self._late_us = "", None, None
         self._is_stopped = False
         self._view = PlayerView("starting")
 
-    def _take_spare(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    def _take_spare(self) -> ChildProcess[Any]:
         """Return the player that waits, or a new one where there is none."""
         spare, self._spare = self._spare, None
-        if spare is not None and spare[0].poll() is not None:
-            spare[1].close()
+        if spare is not None and spare.exit_code() is not None:
+            spare.pipe.close()
             spare = None
         return spare or begin_process(modules=PLAYER_MODULES)
 
@@ -244,7 +242,7 @@ class PlayerLink:
             self._link.close()
         if self._process is not None:
             self._leaving.append(self._process)
-        self._leaving = [process for process in self._leaving if process.poll() is None]
+        self._leaving = [process for process in self._leaving if process.exit_code() is None]
         self._link = self._process = None
 
     def _send(self, operation: type[m.Operation], **fields: object) -> None:
@@ -259,8 +257,8 @@ class PlayerLink:
         """Stop it, and wait until it has ended."""
         self._is_closing = True
         if self._spare is not None:
-            self._spare[1].close()  # It ends by that.
-            self._leaving.append(self._spare[0])
+            self._spare.pipe.close()  # It ends by that.
+            self._leaving.append(self._spare)
             self._spare = None
         if self._link is not None:
             self.stop()
@@ -269,12 +267,11 @@ class PlayerLink:
                 self._wait()
             self._gone()
         for process in self._leaving:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(CLOSE_S)
+            process.wait(CLOSE_S)
 
     def _wait(self) -> bool:
         end_ns = time.monotonic_ns() + int(CLOSE_S * 1e9)
         while self._link is not None and time.monotonic_ns() < end_ns:
-            select.select([self._link.fileno()], [], [], 0.1)
+            wait_for([self._link.fileno()], 0.1)
             self.view(time.monotonic_ns())
         return self._link is None

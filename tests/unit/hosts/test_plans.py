@@ -17,6 +17,7 @@ from lss_motion.playing.remote.process import begin_process
 from lss_motion.stage.hosts import plans
 from lss_motion.stage.hosts.messages import hash_of, packed
 from lss_motion.stage.hosts.player_link import PlayerLink
+from lss_motion.system.messages import MessagePipe
 
 SEQUENCES = Path(__file__).parents[3] / "sequences"
 DUET = """\
@@ -157,20 +158,22 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
 
     def begin(modules):
         own, other = socket.socketpair()
-        begun.append((SimpleNamespace(poll=lambda: None, wait=lambda _s: 0), own, other))
-        return begun[-1][:2]
+        own.setblocking(False)
+        pipe = MessagePipe(own)
+        begun.append((pipe, other))
+        return SimpleNamespace(pipe=pipe, exit_code=lambda: None, wait=lambda _s: 0)
 
     module = "lss_motion.stage.hosts.player_link"
     monkeypatch.setattr(f"{module}.begin_process", begin)
     monkeypatch.setattr(
-        f"{module}.give_job", lambda end, job, **changes: given.append((end, job, changes))
+        f"{module}.give_job", lambda one, job, **changes: given.append((one, job, changes))
     )
     monkeypatch.setattr(f"{module}.read_plan", None)  # Not in the host's turn.
     link.view(0)
     assert (len(begun), given) == (1, [])  # It waits for its job.
     link.arm(name, 4.0)
-    ((end, job, changes),) = given
-    assert end is begun[0][1]
+    ((process, job, changes),) = given
+    assert process.pipe is begun[0][0]
     assert len(pickle.loads(job).program.moves) > 20
     assert changes == {"options": {"start_s": 4.0}}
     link.view(0)
@@ -178,18 +181,18 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
     link.stop()
     link.view(0)
     assert len(begun) == 2
-    begun[0][2].close()  # It has ended.
+    begun[0][1].close()  # It has ended.
     link.view(0)
     link.view(0)
     assert len(begun) == 2
     link.close()
-    assert begun[1][1].fileno() == -1  # By which the one that waits ends, too.
-    begun[1][2].close()
+    assert begun[1][0].fileno() == -1  # By which the one that waits ends, too.
+    begun[1][1].close()
 
 
 def test_a_process_that_waits_for_its_job_ends_with_its_link():
-    process, own = begin_process()
-    own.close()
+    process = begin_process()
+    process.pipe.close()
     assert process.wait(60) == 0
 
 
@@ -200,11 +203,11 @@ def test_a_process_that_waits_for_its_job_ends_by_a_signal_without_a_traceback(
     imported = tmp_path / "imported"
     (tmp_path / "tells_that_it_is_imported.py").write_text(f"open({str(imported)!r}, 'x').close()")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    process, own = begin_process(modules=["tells_that_it_is_imported"])
-    with own:
-        deadline_s = time.monotonic() + 60
-        while not imported.exists() and time.monotonic() < deadline_s:
-            time.sleep(0.02)
-        process.send_signal(number)
-        assert process.wait(60) == -number
+    process = begin_process(modules=["tells_that_it_is_imported"])
+    deadline_s = time.monotonic() + 60
+    while not imported.exists() and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    os.kill(process.pid, number)
+    assert process.wait(60) == -number
+    process.close()
     assert capfd.readouterr().err == ""
