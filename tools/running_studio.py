@@ -63,8 +63,8 @@ class Studio:
                 parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
             except OSError:
                 continue
-            if int(parent) == self.process.pid and "-m" in words:
-                found[words[words.index("-m") + 1]] = int(place.name)
+            if int(parent) == self.process.pid and "-c" in words:
+                found[words[words.index("-c") + 3]] = int(place.name)
         return found
 
     def close(self) -> None:

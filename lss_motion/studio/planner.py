@@ -1,4 +1,4 @@
-"""The planner process: `python -m lss_motion.studio.planner FD`, started by `planning`.
+"""The planner process, started by `planning`.
 
 It loads, plans and compiles the file of each request, and returns what the server shows and
 starts: bytes, so that the server never needs what planning imports. Of requests that wait only the
@@ -8,12 +8,8 @@ newest is carried out.
 from __future__ import annotations
 
 import hashlib
-import importlib
 import json
 import math
-import pickle
-import socket
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,7 +18,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import read_data
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.messages import TypedPipe
+from lss_motion.system.reactor import wait_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -33,6 +30,7 @@ if TYPE_CHECKING:
     from lss_motion.show.gait.model import Gait
     from lss_motion.stage.check import Planned
     from lss_motion.stage.model import Stage
+    from lss_motion.system.messages import MessagePipe
 
 PROBLEMS_MAX: Final = 100
 """More errors of one file are not sent."""
@@ -340,25 +338,19 @@ def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def main() -> int:
-    """Answer requests until the other end closes; return an exit code."""
-    link = MessagePipe(socket.socket(fileno=int(sys.argv[1])))
-    try:
-        while True:
-            requests = link.receive()
-            # Everything that has arrived by now: only the newest counts.
-            link.set_blocking(is_blocking=False)
-            requests += link.receive()
-            link.set_blocking(is_blocking=True)
-            if requests:
-                request = pickle.loads(requests[-1][1])  # noqa: S301  (from our own server)
-                link.send(Kind.OBJECT, pickle.dumps(reply_to(request)))
-            while link.is_full and not link.is_closed:
-                link.flush()
-    except (PipeClosedError, KeyboardInterrupt):
-        return 0
+def main(pipe: MessagePipe) -> int:
+    """Answer requests until the pipe ends; return an exit code."""
+    typed: TypedPipe[Request] = TypedPipe(pipe)
+    while (request := _newest(typed)) is not None:
+        typed.send_object(reply_to(request))
+    return 0
 
 
-if __name__ == "__main__":
-    # Not `main` of this module: what is pickled would then be of the module `__main__`.
-    sys.exit(importlib.import_module("lss_motion.studio.planner").main())
+def _newest(typed: TypedPipe[Request]) -> Request | None:
+    """Wait for a request, and return the newest that has arrived; None: the pipe has ended."""
+    requests: list[Request] = []
+    while wait_for([typed.fileno()], 0.0 if requests else math.inf):
+        requests += typed.receive()
+        if typed.has_ended:
+            return None
+    return requests[-1]

@@ -8,22 +8,15 @@ only delay the one that is. A planner that stands still or is killed delays noth
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
-import pickle
-import socket
-import subprocess
-import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
 from lss_motion.studio.planner import Reply, Request
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
 PATIENCE_S: Final = 2.0
 """Starting a planner takes a second of processor time (measured: 0.9 s)."""
@@ -34,29 +27,12 @@ DIED: Final = (
 )
 
 
-def start_module(
-    module: str, filenos: Sequence[int], stdin: int | None = subprocess.DEVNULL
-) -> subprocess.Popen[bytes]:
-    """Start a module of ours as a process that inherits these file numbers as its arguments."""
-    top = str(Path(__file__).resolve().parents[2])
-    paths = [top, *filter(None, [os.environ.get("PYTHONPATH")])]
-    return subprocess.Popen(  # noqa: S603  (our own program)
-        # -P: no module of the current folder is imported in place of an installed one.
-        [sys.executable, "-P", "-m", module, *map(str, filenos)],
-        pass_fds=list(filenos),
-        stdin=stdin,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-        start_new_session=True,  # Ctrl-C reaches the server only.
-    )
-
-
 class Planner:
     """The planner process. `on_reply` gets the reply to the newest request, and no other."""
 
     def __init__(self, on_reply: Callable[[Reply], None]) -> None:
         self._on_reply = on_reply
-        self._process: subprocess.Popen[bytes] | None = None
-        self._link: MessagePipe | None = None
+        self._process: ChildProcess[Reply] | None = None
         self._wanted: Request | None = None
         """The newest request, until it is answered."""
         self._number = self._failures = 0
@@ -89,29 +65,19 @@ class Planner:
         self._end()
 
     def _send(self) -> None:
-        if self._link is None:
-            self._start()
-        assert self._link is not None
-        self._link.send(Kind.OBJECT, pickle.dumps(self._wanted))
-
-    def _start(self) -> None:
-        own, other = socket.socketpair()
-        own.setblocking(False)  # noqa: FBT003
-        with other:
-            self._process = start_module("lss_motion.studio.planner", [other.fileno()])
-        self._link = MessagePipe(own)
-        asyncio.get_running_loop().add_reader(own.fileno(), self._read)
+        if self._process is None:
+            self._process = ChildProcess("lss_motion.studio.planner")
+            asyncio.get_running_loop().add_reader(self._process.fileno(), self._read)
+        self._process.send_object(self._wanted)
 
     def _read(self) -> None:
-        assert self._link is not None
-        try:
-            arrived = self._link.receive()
-        except PipeClosedError:
+        assert self._process is not None
+        arrived = self._process.receive()
+        if self._process.has_ended:
             self._end()
             self._after_death()
             return
-        for _, content in arrived:
-            reply = pickle.loads(content)  # noqa: S301  (from our own process)
+        for reply in arrived:
             self._be_patient()
             if self._wanted is not None and reply.number == self._wanted.number:
                 self._wanted = None
@@ -143,12 +109,7 @@ class Planner:
 
     def _end(self) -> None:
         self._be_patient()
-        link, self._link = self._link, None
         process, self._process = self._process, None
-        if link is not None:
-            asyncio.get_running_loop().remove_reader(link.fileno())
-            link.close()
         if process is not None:
-            process.kill()  # It owns nothing that must be given back, and may stand still.
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(PATIENCE_S)
+            asyncio.get_running_loop().remove_reader(process.fileno())
+            process.close()  # It owns nothing that must be given back, and may stand still.

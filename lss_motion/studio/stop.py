@@ -1,40 +1,32 @@
-"""The process that only stops: `python -m lss_motion.studio.stop CONTROL_FD LISTEN_FD...`.
+"""The process that only stops. Its words are the file numbers on which it listens.
 
 It has its own ports, knows the token, and has a link of its own to each player. So a stop arrives
 where the server hangs, stands still or was killed. It lives until the server and the last player
 have ended. A stop is kept until the server sends `rearm`: a player that starts meanwhile is stopped
 at once.
 
-The server sends lines of JSON: `{"player": true}` with the end of a new link, `{"latch": "stop"}`,
-`{"rearm": true}`; it gets `{"latch": "stop" | "estop"}`. The settings are the first line.
+The server sends a `StopOrder`, first the settings; it gets a `Latch` for each stop.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
-import signal
 import socket
-import sys
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import Struct
 
 from lss_motion.playing.remote.schema import Estop, Stop
 from lss_motion.studio.access import Denied, Door, Purpose, asked_of, decide
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError, TypedPipe
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
 StopKind = Literal["stop", "estop"]
-LINE_MAX_BYTES: Final = 65536
-ENDS_MAX: Final = 8
-"""Links that may arrive with one read; the server sends them one by one."""
 
 
-class StopSettings(Struct, frozen=True):
+class StopSettings(Struct, frozen=True, tag=True):
     """What the process needs to know of the server."""
 
     hosts: list[str]
@@ -50,16 +42,33 @@ class StopSettings(Struct, frozen=True):
         return Door(frozenset(self.hosts), frozenset(self.origins), self.token, self.cookie_name)
 
 
+class NewPlayer(Struct, frozen=True, tag=True):
+    """A player starts; the end of its link for stops comes with this."""
+
+
+class Latch(Struct, frozen=True, tag=True):
+    """A stop is kept."""
+
+    kind: StopKind
+
+
+class Rearm(Struct, frozen=True, tag=True):
+    """Players may start again."""
+
+
+StopOrder = StopSettings | NewPlayer | Latch | Rearm
+
+
 class Stopper:
     """The players' links, and the stop that is kept until it is armed again."""
 
-    def __init__(self, control: socket.socket, on_end: Callable[[], None]) -> None:
+    def __init__(self, control: MessagePipe, on_end: Callable[[], None]) -> None:
         self.latch: StopKind | None = None
         self.settings: StopSettings | None = None
         self.has_settings = asyncio.Event()
-        self._control: socket.socket | None = control
-        self._inbox = b""
-        self._ends: list[int] = []
+        control.set_blocking(is_blocking=False)
+        control.receives_filenos = True
+        self._control: TypedPipe[StopOrder] = TypedPipe(control, StopOrder)
         self._links: list[MessagePipe] = []
         self._on_end = on_end
         asyncio.get_running_loop().add_reader(control.fileno(), self._read)
@@ -70,41 +79,30 @@ class Stopper:
             self.latch = kind
         for link in self._links:
             _send(link, kind)
-        if self._control is not None:
-            with contextlib.suppress(OSError):  # A server that does not read, or is gone.
-                self._control.send(json.dumps({"latch": kind}).encode() + b"\n")
+        self._control.send(Latch(kind))
 
     def _read(self) -> None:
         """Take what the server sent; it may have ended."""
-        assert self._control is not None
-        try:
-            data, ends, _, _ = socket.recv_fds(self._control, LINE_MAX_BYTES, ENDS_MAX)
-        except BlockingIOError:
-            return
-        except OSError:
-            data, ends = b"", []
-        self._ends += ends
-        self._inbox += data
-        if not data or len(self._inbox) > LINE_MAX_BYTES:
+        for order in self._control.receive():
+            self._obey(order)
+        if self._control.has_ended:
             asyncio.get_running_loop().remove_reader(self._control.fileno())
             self._control.close()
-            self._control = None
             self._end_if_alone()
-            return
-        *lines, self._inbox = self._inbox.split(b"\n")
-        for line in lines:
-            self._obey(json.loads(line))
 
-    def _obey(self, order: dict[str, Any]) -> None:
-        if self.settings is None:
-            self.settings = StopSettings(**order)
-            self.has_settings.set()
-        elif "player" in order and self._ends:
-            self._take(socket.socket(fileno=self._ends.pop(0)))
-        elif "latch" in order:
-            self.latch = order["latch"]
-        elif "rearm" in order:
-            self.latch = None
+    def _obey(self, order: StopOrder) -> None:
+        match order:
+            case StopSettings():
+                self.settings = order
+                self.has_settings.set()
+            case NewPlayer():
+                filenos = self._control.pipe.filenos
+                if filenos:
+                    self._take(socket.socket(fileno=filenos.popleft()))
+            case Latch():
+                self.latch = order.kind
+            case Rearm():
+                self.latch = None
 
     def _take(self, end: socket.socket) -> None:
         end.setblocking(False)  # noqa: FBT003
@@ -125,7 +123,7 @@ class Stopper:
             self._end_if_alone()
 
     def _end_if_alone(self) -> None:
-        if self._control is None and not self._links:
+        if self._control.has_ended and not self._links:
             self._on_end()
 
 
@@ -169,7 +167,7 @@ class StopPages:
         return 204, ""
 
 
-async def serve(control: socket.socket, listening: list[socket.socket]) -> None:
+async def serve(control: MessagePipe, listening: list[socket.socket]) -> None:
     """Serve until the server and the last player have ended."""
     from lss_motion.studio.web import LOOPBACK, Server, make_server
 
@@ -197,15 +195,10 @@ async def serve(control: socket.socket, listening: list[socket.socket]) -> None:
     )
 
 
-def main() -> int:
-    """Serve the file numbers of the arguments; return an exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # The server ends it, and it outlives the server.
-    control, *listening = (socket.socket(fileno=int(number)) for number in sys.argv[1:])
-    control.setblocking(False)  # noqa: FBT003
-    asyncio.run(serve(control, listening))
+def main(control: MessagePipe, *words: str) -> int:
+    """Serve until the server and the last player have ended; return an exit code.
+
+    The server ends it, and it outlives the server: signals do nothing (`reactor.begin`).
+    """
+    asyncio.run(serve(control, [socket.socket(fileno=int(word)) for word in words]))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
-import socket
 from typing import TYPE_CHECKING, Final
 
-from msgspec.structs import asdict
-
-from lss_motion.studio.planning import start_module
+from lss_motion.studio.stop import Latch, NewPlayer, Rearm
+from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
-    import subprocess
+    import socket
     from collections.abc import Callable, Sequence
 
     from lss_motion.studio.stop import StopKind, StopSettings
@@ -38,18 +34,17 @@ class StopProcess:
         self._ends: list[socket.socket] = []
         """The server's ends of the stop links of players, for a process that is started again."""
         self._latch: StopKind | None = None
-        self._inbox = b""
         self._is_closed = False
         self._start()
 
     @property
     def pid(self) -> int:
-        return self._process.pid
+        return self._child.pid
 
     def add_player(self, end: socket.socket) -> None:
         """Give the process the end of a link to a player, before that player starts."""
         self._ends.append(end)
-        self._send({"player": True}, [end])
+        self._child.send_fileno(NewPlayer(), end.fileno())
 
     def drop_player(self, end: socket.socket) -> None:
         """Forget the link of a player that has ended."""
@@ -59,12 +54,12 @@ class StopProcess:
     def latch(self, kind: StopKind) -> None:
         """Let the process keep a stop that came another way."""
         self._latch = kind
-        self._send({"latch": kind})
+        self._child.send(Latch(kind))
 
     def rearm(self) -> None:
         """Let players start again."""
         self._latch = None
-        self._send({"rearm": True})
+        self._child.send(Rearm())
 
     def close(self) -> None:
         """Leave the process to itself: it ends when the last player has."""
@@ -74,52 +69,32 @@ class StopProcess:
             own.close()
         self._ends.clear()
 
-    @property
-    def process(self) -> subprocess.Popen[bytes]:
-        return self._process
-
     def _start(self) -> None:
-        self._control, other = socket.socketpair()
-        self._control.setblocking(False)  # noqa: FBT003
-        with other:
-            filenos = [one.fileno() for one in (other, *self._listening)]
-            self._process = start_module("lss_motion.studio.stop", filenos)
-        asyncio.get_running_loop().add_reader(self._control.fileno(), self._read)
-        self._send(asdict(self._settings))
+        filenos = [one.fileno() for one in self._listening]
+        self._child: ChildProcess[Latch] = ChildProcess(
+            "lss_motion.studio.stop", *map(str, filenos), receives=Latch, inherits=filenos
+        )
+        asyncio.get_running_loop().add_reader(self._child.fileno(), self._read)
+        self._child.send(self._settings)
         for end in self._ends:
-            self._send({"player": True}, [end])
+            self._child.send_fileno(NewPlayer(), end.fileno())
         if self._latch is not None:
-            self._send({"latch": self._latch})
-
-    def _send(self, order: dict[str, object], ends: Sequence[socket.socket] = ()) -> None:
-        data = json.dumps(order).encode() + b"\n"
-        with contextlib.suppress(OSError):  # Gone, or it stands still: stops go through the server.
-            socket.send_fds(self._control, [data], [end.fileno() for end in ends])
+            self._child.send(Latch(self._latch))
 
     def _read(self) -> None:
-        try:
-            data = self._control.recv(4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
+        for latch in self._child.receive():
+            self._latch = latch.kind
+            self.on_latch(latch.kind)
+        if self._child.has_ended:
             self._drop_control()
             if not self._is_closed:
                 asyncio.get_running_loop().call_later(RESTART_S, self._restart)
-            return
-        *lines, self._inbox = (self._inbox + data).split(b"\n")
-        for line in lines:
-            self._latch = json.loads(line)["latch"]
-            assert self._latch is not None
-            self.on_latch(self._latch)
 
     def _restart(self) -> None:
-        self._process.poll()
+        self._child.exit_code()
         if not self._is_closed:
-            self._inbox = b""
             self._start()
 
     def _drop_control(self) -> None:
-        asyncio.get_running_loop().remove_reader(self._control.fileno())
-        self._control.close()
+        asyncio.get_running_loop().remove_reader(self._child.fileno())
+        self._child.pipe.close()

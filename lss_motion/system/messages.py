@@ -54,13 +54,13 @@ class MessagePipe:
         end: socket.socket,
         *,
         outbox_max_bytes: int = OUTBOX_MAX_BYTES,
-        receives_filenos: bool = False,
     ) -> None:
         self._socket = end
         self._inbox = bytearray()
         self._outbox = bytearray()
         self._outbox_max_bytes = outbox_max_bytes
-        self._receives_filenos = receives_filenos
+        self.receives_filenos = False
+        """Whether file numbers may arrive; reading takes longer then."""
         self.filenos: deque[int] = deque()
         """File numbers that arrived with messages (`send_fileno`), oldest first."""
         self.dropped = 0
@@ -156,14 +156,14 @@ class MessagePipe:
 
         None: the other end is closed.
         """
-        self._receives_filenos = True
+        self.receives_filenos = True
         with contextlib.suppress(PipeClosedError):
             self.receive(_HEAD.size)
-        self._receives_filenos = False
+        self.receives_filenos = False
         return self.filenos.popleft() if self.filenos else None
 
     def _read(self, limit_bytes: int) -> bytes:
-        if not self._receives_filenos:
+        if not self.receives_filenos:
             return self._socket.recv(limit_bytes)
         data, filenos, _, _ = socket.recv_fds(self._socket, limit_bytes, FILENOS_MAX)
         self.filenos += filenos
@@ -237,6 +237,10 @@ class TypedPipe(Generic[Received]):
     def send_object(self, value: object) -> bool:
         """Send any value that can be pickled, which must arrive."""
         return self.pipe.send(Kind.OBJECT, pickle.dumps(value))
+
+    def send_fileno(self, message: msgspec.Struct, fileno: int) -> bool:
+        """Send a message and a file number with it; see `MessagePipe.send_fileno`."""
+        return self.pipe.send_fileno(Kind.MESSAGE, msgspec.msgpack.encode(message), fileno)
 
     def receive(self) -> list[Received]:
         """Return what has arrived, oldest first; what cannot be decoded is dropped."""

@@ -40,6 +40,9 @@ BEGIN: Final = (
     "from lss_motion.system.reactor import begin; begin()"
 )
 
+KILL_S: Final = 2.0
+"""The longest time that a killed process may take to end: a driver may hold it."""
+
 
 class ChildProcess(Closing, Generic[Received]):
     """One process, in which `main(pipe, *words)` of `module` runs.
@@ -123,6 +126,10 @@ class ChildProcess(Closing, Generic[Received]):
         """Send any value that can be pickled, which must arrive."""
         return self._typed.send_object(value)
 
+    def send_fileno(self, message: msgspec.Struct, fileno: int) -> bool:
+        """Send a message and a file number with it; return False if it does not take both now."""
+        return self._typed.send_fileno(message, fileno)
+
     def receive(self) -> list[Received]:
         """Return what has arrived, oldest first; send what is kept."""
         self.pipe.flush()
@@ -181,4 +188,4 @@ class ChildProcess(Closing, Generic[Received]):
                 os.killpg(self._process.pid, signal.SIGKILL)
         else:
             self._process.kill()
-        self._process.wait()
+        self.wait(KILL_S)

@@ -60,7 +60,7 @@ def children(pid):
     for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         with contextlib.suppress(OSError, ValueError):  # It may just begin, or end.
             words = Path(f"/proc/{one}/cmdline").read_bytes().decode().split("\0")
-            found[words[words.index("-m") + 1].rpartition(".")[2]] = int(one)
+            found[words[words.index("-c") + 3].rpartition(".")[2]] = int(one)
     return found
 
 
