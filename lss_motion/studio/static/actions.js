@@ -58,6 +58,17 @@ export class Actions {
     this.store.dispatch({ type: "set", fields });
   }
 
+  /** Close what is open: a question or help, a message, a drag, a selection; return whether it was. */
+  closeOpen() {
+    const { dialog, refusal, selection, page } = this.store.state.value;
+    if (dialog !== null) this.set({ dialog: null });
+    else if (refusal !== null) this.set({ refusal: null });
+    else if (page === "timeline" && this.board?.dropDrags()) return true;
+    else if (page === "timeline" && selection !== null) this.set({ selection: null });
+    else return false;
+    return true;
+  }
+
   // ------------------------------------------------------------------------ the show
 
   /** Whether a show runs, so that another cannot be started. */

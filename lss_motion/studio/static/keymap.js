@@ -1,7 +1,7 @@
 // @ts-check
 /**
  * The keys of the studio as data: the handler, the help and a test read the same table. Escape is not
- * here: stop.js has it.
+ * here: stop.js has it, and what it closes is in `Actions.closeOpen`.
  */
 
 /** @typedef {{ keys: string[], action: string, text: string, pages?: string[] }} Binding */
@@ -36,8 +36,8 @@ export const KEYMAP = [
 
 /** Keys of stop.js, for the help. @type {Binding[]} */
 export const STOP_KEYS = [
-  { keys: ["Escape"], action: "stop", text: "STOP: brakes within the limits" },
-  { keys: ["Shift+Escape"], action: "estop", text: "E-STOP: the safe bytes at once" },
+  { keys: ["Escape"], action: "stop", text: "closes what is open (this list, a question, a message, a selection); else STOP: brakes within the limits" },
+  { keys: ["Shift+Escape"], action: "estop", text: "E-STOP, always: the safe bytes at once" },
 ];
 
 /** Return the name of a pressed key as the table has it.
@@ -65,7 +65,7 @@ export function actionOf(name, page) {
 export function keepsKey(element, name) {
   if (element === null || element.matches(":disabled")) return false;
   if (element.closest("dialog") !== null) return true;
-  if (element.matches("textarea, select, input:not([type=range])")) return true;
+  if (element.matches("textarea, input:not([type=range])")) return true;
   if (element.matches("input[type=range]")) return name.includes("Arrow") || name === "Home" || name === "End";
   // Space never means GO, also where the GO button has the focus.
   if (name === "Space" && element.matches("[data-go]")) return false;

@@ -11,6 +11,7 @@ import { Banners, Header } from "./parts/header.js";
 import { Transport } from "./parts/transport.js";
 import { ShowPage } from "./pages/show.js";
 import { TimelinePage } from "./pages/timeline.js";
+import { setCloser } from "./stop.js";
 import { createStore } from "./store.js";
 
 const THEME_KEY = "lss-theme";
@@ -58,6 +59,7 @@ window.addEventListener("keydown", (event) => {
 });
 
 window.addEventListener("click", releaseFocus);
+setCloser(() => actions.closeOpen());
 
 store.select((state) => state.theme).subscribe((theme) => {
   document.documentElement.dataset["theme"] = theme;

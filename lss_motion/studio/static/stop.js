@@ -16,6 +16,9 @@ const DENIED = 401;
 /** @type {{ origins: string[], send: ((kind: StopKind) => void) | null }} */
 const ways = { origins: [""], send: null };
 
+/** Closes what is open on the page; returns whether something was. @type {() => boolean} */
+let closeOpen = () => false;
+
 /** What is being sent and not yet confirmed. @type {{ kind: StopKind, left: number } | null} */
 let pending = null;
 let timer = 0;
@@ -32,6 +35,11 @@ export function setStopOrigin(origin) {
 /** Set how a stop goes by the websocket. @param {(kind: StopKind) => void} send */
 export function setStopSender(send) {
   ways.send = send;
+}
+
+/** Set what Escape closes before it stops. @param {() => boolean} close */
+export function setCloser(close) {
+  closeOpen = close;
 }
 
 /** The server keeps the stop: it need not be repeated. @param {boolean} isLatched */
@@ -124,10 +132,33 @@ window.addEventListener(
   (event) => {
     if (event.key !== "Escape" || event.repeat) return;
     event.stopImmediatePropagation();
-    sendStop(event.shiftKey ? "estop" : "stop");
+    if (event.shiftKey) sendStop("estop");
+    else if (!hasClosed()) sendStop("stop");
   },
   { capture: true },
 );
+
+/** Whether something was open; it is closed now. */
+function hasClosed() {
+  try {
+    return closeOpen();
+  } catch {
+    return false;
+  }
+}
+
+/** Keep the buttons where the screen shows them: in a part that is zoomed in, above a keyboard. */
+function keepInSight() {
+  const stops = document.getElementById("stops");
+  const seen = window.visualViewport;
+  if (stops === null || seen === null) return;
+  const { clientWidth, clientHeight } = document.documentElement;
+  const right_px = seen.offsetLeft + seen.width - clientWidth;
+  const down_px = seen.offsetTop + seen.height - clientHeight;
+  stops.style.transform = `translate(${right_px}px, ${down_px}px) scale(${1 / seen.scale})`;
+}
+
+for (const change of ["resize", "scroll"]) window.visualViewport?.addEventListener(change, keepInSight);
 
 window.addEventListener("error", (event) => {
   showTrouble(`The page has an error, but STOP works: ${event.message}. Load the page again.`);

@@ -16,8 +16,8 @@ const READING_MS = 250;
 /** @type {LiveRobot} */
 const OFF = { state: "off", port: "", is_simulated: false, joints: {}, text: "" };
 
-/** @param {{ store: Store, link: ServerLink }} props */
-export function RobotPage({ store, link }) {
+/** @param {{ store: Store, link: ServerLink, actions: import("../actions.js").Actions }} props */
+export function RobotPage({ store, link, actions }) {
   const state = store.state.value;
   const robot = /** @type {RobotJson | null} */ (state.robot);
   const live = /** @type {LiveRobot} */ (state.robot_state ?? OFF);
@@ -35,6 +35,7 @@ export function RobotPage({ store, link }) {
     scanned=${state.scanned}
     maintenance=${state.maintenance ?? null}
     send=${(/** @type {string} */ op, /** @type {Record<string, unknown>} */ fields) => link.send(op, fields)}
+    ask=${(/** @type {import("./robot_view.js").Question} */ question) => actions.set({ dialog: { kind: "confirm", ...question } })}
     schedule=${nextFrame}
     theme=${state.theme}
   />`;

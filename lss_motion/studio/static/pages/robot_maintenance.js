@@ -2,6 +2,7 @@
 /** Calibrate and identify on the robot page: what happens, its steps, its progress, its plots. */
 
 import { html, useState } from "../vendor/preact.js";
+import { Choice } from "../parts/choice.js";
 
 /** @typedef {{title: string, x_name: string, y_name: string, series: {name: string, x: number[], y: number[]}[]}} Plot */
 /**
@@ -63,18 +64,8 @@ export function Maintenance({ joints, file, event, mayMove, why, act }) {
   return html`<section class="robot-maintenance" aria-labelledby="robot-maintenance-title">
     <h2 id="robot-maintenance-title">Calibrate and identify</h2>
     <div class="robot-row">
-      <div role="group" aria-label="what to do" class="robot-switch">
-        ${Object.entries(TASKS).map(
-          ([key, { title }]) =>
-            html`<button type="button" aria-pressed=${what === key} onClick=${() => setWhat(/** @type {any} */ (key))}>${title}</button>`,
-        )}
-      </div>
-      <label>
-        Joint
-        <select value=${chosen} onChange=${(/** @type {any} */ change) => setJoint(change.target.value)}>
-          ${joints.map((name) => html`<option value=${name}>${name}</option>`)}
-        </select>
-      </label>
+      <${Choice} label="what to do" options=${Object.entries(TASKS).map(([key, { title }]) => [key, title])} chosen=${what} choose=${setWhat} />
+      <${Choice} label="joint" options=${joints.map((name) => [name, name])} chosen=${chosen} choose=${setJoint} />
     </div>
     <p>${task.about}</p>
     <ol>

@@ -30,7 +30,7 @@ export function poseText(pose) {
  * @param {boolean} props.mayMove
  * @param {string} props.why
  * @param {(op: string, fields: object) => Promise<void>} props.act
- * @param {(question: {title: string, text: string, answer: string}) => Promise<boolean>} props.ask
+ * @param {(question: import("./robot_view.js").Question) => void} props.ask
  */
 export function PoseList({ poses, mayMove, why, act, ask }) {
   const names = Object.keys(poses);
@@ -38,11 +38,9 @@ export function PoseList({ poses, mayMove, why, act, ask }) {
   const problem = nameProblem(name, names);
   const title = mayMove ? undefined : why;
   /** @param {string} pose */
-  const saveOver = async (pose) => {
+  const saveOver = (pose) => {
     const text = `Now it is: ${poseText(poses[pose])}. The angles that the robot has now replace these in the robot file.`;
-    if (await ask({ title: `Save over ${pose}?`, text, answer: "Save over" })) {
-      await act("pose.save", { pose, is_new: false });
-    }
+    ask({ title: `Save over ${pose}?`, text, yes: "Save over", run: () => act("pose.save", { pose, is_new: false }) });
   };
   /** @param {Event} event */
   const add = async (event) => {

@@ -4,6 +4,7 @@
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
 import { createFigure } from "../figure/figure.js";
 import { NoFigure } from "../figure/panel.js";
+import { Choice } from "../parts/choice.js";
 import { JogHold } from "./robot_jog.js";
 import { JointTable, shown } from "./robot_joints.js";
 import { Maintenance } from "./robot_maintenance.js";
@@ -52,6 +53,7 @@ import { PoseList } from "./robot_poses.js";
  * @property {boolean} is_shared
  */
 /** @typedef {{servos: FoundServo[], problems: string[]}} Scanned */
+/** @typedef {{title: string, text: string, yes: string, run: () => void}} Question */
 
 /** Share of the jogging speed by word. */
 const SPEEDS = { slow: 0.2, medium: 0.5, fast: 1 };
@@ -88,14 +90,14 @@ export function whyStill(live, isMine, isLatched, isLost) {
  * @param {Scanned | null} props.scanned
  * @param {any} props.maintenance
  * @param {(op: string, fields: object) => Promise<unknown>} props.send
+ * @param {(question: Question) => void} props.ask
  * @param {(draw: () => void) => void} props.schedule
  * @param {unknown} props.theme
  */
-export function RobotView({ robot, live, health, isMine, isLatched, isLost, scanned, maintenance, send, schedule, theme }) {
+export function RobotView({ robot, live, health, isMine, isLatched, isLost, scanned, maintenance, send, ask, schedule, theme }) {
   const [problem, setProblem] = useState("");
   const [held, setHeld] = useState(/** @type {string | null} */ (null));
   const [speed, setSpeed] = useState(/** @type {keyof typeof SPEEDS} */ ("medium"));
-  const { dialog, ask } = useQuestion();
   const why = whyStill(live, isMine, isLatched, isLost);
   const mayMove = why === "";
   /** @param {string} op @param {object} fields */
@@ -143,12 +145,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         >
           Scan
         </button>
-        <div role="group" aria-label="jog speed" class="robot-switch">
-          ${Object.keys(SPEEDS).map(
-            (word) =>
-              html`<button type="button" aria-pressed=${speed === word} onClick=${() => setSpeed(/** @type {any} */ (word))}>${word}</button>`,
-          )}
-        </div>
+        <${Choice} label="jog speed" options=${Object.keys(SPEEDS).map((word) => [word, word])} chosen=${speed} choose=${setSpeed} />
       </div>
       <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Hold + or − to turn a joint; let go to stop it."}</p>
     </header>
@@ -172,44 +169,13 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         ...${{ mayMove, why, act }}
       />
     </div>
-    ${dialog}
   </main>`;
 }
 
-/** @param {(question: {title: string, text: string, answer: string}) => Promise<boolean>} ask @param {(op: string, fields: object) => Promise<void>} act */
-async function limpAll(ask, act) {
+/** @param {(question: Question) => void} ask @param {(op: string, fields: object) => Promise<void>} act */
+function limpAll(ask, act) {
   const text = "All joints lose their power and the robot falls. Hold it.";
-  if (await ask({ title: "Limp all?", text, answer: "Limp all" })) await act("limp", { joints: [] });
-}
-
-/** A question with two answers; Escape and Cancel are no. */
-function useQuestion() {
-  const [question, setQuestion] = useState(
-    /** @type {{title: string, text: string, answer: string, done: (is_yes: boolean) => void} | null} */ (null),
-  );
-  const element = useRef(/** @type {HTMLDialogElement | null} */ (null));
-  useEffect(() => {
-    if (question !== null && element.current?.open === false) element.current.showModal();
-  }, [question]);
-  /** @param {boolean} is_yes */
-  const close = (is_yes) => {
-    question?.done(is_yes);
-    setQuestion(null);
-  };
-  /** @param {{title: string, text: string, answer: string}} asked @returns {Promise<boolean>} */
-  const ask = (asked) => new Promise((done) => setQuestion({ ...asked, done }));
-  const dialog =
-    question === null
-      ? null
-      : html`<dialog ref=${element} class="robot-question" aria-labelledby="robot-question-title" onClose=${() => close(false)}>
-          <h2 id="robot-question-title">${question.title}</h2>
-          <p>${question.text}</p>
-          <div class="robot-row">
-            <button type="button" autofocus onClick=${() => close(false)}>Cancel</button>
-            <button type="button" class="robot-yes" onClick=${() => close(true)}>${question.answer}</button>
-          </div>
-        </dialog>`;
-  return { dialog, ask };
+  ask({ title: "Limp all?", text, yes: "Limp all", run: () => act("limp", { joints: [] }) });
 }
 
 /** @param {{robot: RobotJson, live: LiveRobot, schedule: (draw: () => void) => void, theme: unknown}} props */

@@ -1,8 +1,9 @@
 // @ts-check
-/** Questions and help, as modal dialogs; STOP works above them, by key and by the buttons. */
+/** Every question, and help: STOP works above them, by key and by the buttons. */
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
 import { KEYMAP, STOP_KEYS } from "../keymap.js";
+import { Choice } from "./choice.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
 
@@ -55,9 +56,8 @@ const ROLES = /** @type {const} */ ([["view", "look and stop"], ["operate", "ope
 function Pairing({ pairing, actions }) {
   return html`<p class="code" aria-label="Code">${pairing.code}</p>
     <p>Open one of these addresses there and type the code. It is valid once, for ${Math.round(pairing.valid_s / 60)} minutes.</p>
-    <p><label>That device may <select value=${pairing.role}
-      onChange=${(/** @type {Event} */ event) => actions.pair(/** @type {HTMLSelectElement} */ (event.currentTarget).value)}>
-      ${ROLES.map(([role, text]) => html`<option value=${role}>${text}</option>`)}</select></label></p>
+    <div class="choices">That device may <${Choice} label="That device may" options=${ROLES} chosen=${pairing.role}
+      choose=${(/** @type {string} */ role) => actions.pair(role)} /></div>
     <p class="muted">Another choice makes a new code.</p>
     <ul>${pairing.urls.map((url) => html`<li><code>${url}</code></li>`)}</ul>`;
 }

@@ -4,10 +4,12 @@
 import { html } from "../vendor/preact.js";
 import { withinView } from "../curves.js";
 import { timeText } from "../timeline/window.js";
+import { Choice } from "./choice.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
 
-const RATES = [0.25, 0.5, 0.75, 1];
+/** @type {[number, string][]} */
+const RATES = [[0.25, "25 %"], [0.5, "50 %"], [0.75, "75 %"], [1, "100 %"]];
 
 /** @param {Props} props */
 export function Transport({ state, actions }) {
@@ -28,18 +30,15 @@ export function Transport({ state, actions }) {
           ${rate.is_paused ? "▶ Resume" : "❚❚ Pause"}<span class="key-hint">Space</span></button>`
       : html`<button type="button" class="big" disabled=${!hasPlan} onClick=${() => actions.play(true)}>
           ▶ Play from cursor<span class="key-hint">Space</span></button>`}
-    <label class="rate">Rate
-      <select value=${String(nearestRate(rate.ratio))} disabled=${!canPause}
-        onChange=${(/** @type {Event} */ event) => actions.rate(Number(/** @type {HTMLSelectElement} */ (event.currentTarget).value))}>
-        ${RATES.map((ratio) => html`<option value=${String(ratio)}>${Math.round(100 * ratio)} %</option>`)}
-      </select></label>
+    <div class="rate"><span class="rate-name">Rate</span><${Choice} label="Rate" options=${RATES} chosen=${nearestRate(rate.ratio)} disabled=${!canPause}
+      choose=${(/** @type {number} */ ratio) => actions.rate(ratio)} /></div>
     ${view === null ? null : html`<${Way} state=${state} actions=${actions} />`}
   </footer>`;
 }
 
 /** @param {number} ratio */
 function nearestRate(ratio) {
-  return RATES.reduce((best, one) => (Math.abs(one - ratio) < Math.abs(best - ratio) ? one : best));
+  return RATES.map(([one]) => one).reduce((best, one) => (Math.abs(one - ratio) < Math.abs(best - ratio) ? one : best));
 }
 
 /** The way through the show as a slider: seek while it plays, the cursor otherwise.

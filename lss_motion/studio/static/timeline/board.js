@@ -281,6 +281,13 @@ export class TimelineBoard {
     this.#choose(this.#hit(event));
   }
 
+  /** End the drags under way; return whether there were any. */
+  dropDrags() {
+    const hasAny = this.#drags.size > 0;
+    this.#drags.clear();
+    return hasAny;
+  }
+
   /** @param {import("./hit.js").Hit | null} hit */
   #choose(hit) {
     if (hit === null || this.#layout === null) return;
