@@ -26,8 +26,7 @@ from lss_motion.playing.player.events import Phase
 from lss_motion.playing.walking.pilot import Pilot
 from lss_motion.playing.walking.planner import WalkPlanner
 from lss_motion.show.gait.kinematics import forward
-from lss_motion.show.gait.model import BodyPose
-from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.model import PATTERNS, BodyPose
 from lss_motion.show.gait.steering import slowed_to_limits
 from lss_motion.show.gait.stepping import STILL, Twist
 

@@ -188,8 +188,8 @@ def _check(arguments: argparse.Namespace) -> int:
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
         show = prepared(arguments, may_query=False, is_following=arguments.follow)
     else:
+        from lss_motion.show.gait.load import sequence_from
         from lss_motion.show.gait.pacing import gait_lines, paced
-        from lss_motion.show.gait.to_sequence import sequence_from
 
         gait, robot = shows.load_gait(*_files(arguments))
         passages = paced(gait, robot)
@@ -330,8 +330,8 @@ def _schema(arguments: argparse.Namespace) -> int:
 def _gait(arguments: argparse.Namespace) -> int:
     from lss_motion.planning import shows
     from lss_motion.planning.trajectory.planner import plan
+    from lss_motion.show.gait.load import sequence_from
     from lss_motion.show.gait.pacing import gait_lines, paced
-    from lss_motion.show.gait.to_sequence import sequence_from
     from lss_motion.show.write import write_sequence
 
     outputs = [Output(arguments.output, Kind.YAML), Output(arguments.plot, Kind.PICTURE)]

@@ -9,7 +9,6 @@
 | `fields`      | checked values from JSON and text, with their place        | the readers         |
 | `labels`      | labels and mouth shapes → keyframes                        | `importing`         |
 | `mouth_shapes` | names of mouth shapes and phonemes                        | `labels`            |
-| `label_track` | the checked track of a reader of labels                    | the readers         |
 | `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
 | `voice`       | a sound → the motion of a jaw, a nod, a sway               | cli                 |
 | `reduce`      | a recording → few keys within a tolerance                  | `importing`         |

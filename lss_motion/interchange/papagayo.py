@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.interchange.audacity import label_track
 from lss_motion.interchange.fields import TextLines, text_head
-from lss_motion.interchange.label_track import label_track
 from lss_motion.interchange.reader import FPS_MAX, Span
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from lss_motion.errors import InputError
+from lss_motion.interchange.audacity import label_track
 from lss_motion.interchange.fields import TextLines
-from lss_motion.interchange.label_track import label_track
 from lss_motion.interchange.reader import Span, motion_name, read_or_refused
 
 if TYPE_CHECKING:

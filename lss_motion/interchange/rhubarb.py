@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.interchange.audacity import label_track
 from lss_motion.interchange.fields import (
     JsonFields,
     TextLines,
@@ -17,7 +18,6 @@ from lss_motion.interchange.fields import (
     starts_json,
     text_head,
 )
-from lss_motion.interchange.label_track import label_track
 from lss_motion.interchange.reader import Span
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.interchange.audacity import label_track
 from lss_motion.interchange.fields import TextLines, parse_xml, text_head
-from lss_motion.interchange.label_track import label_track
 from lss_motion.interchange.reader import Span, motion_name, read_or_refused
 from lss_motion.units import s_from_ms
 

@@ -86,7 +86,7 @@ def load(
     if is_program(path):
         raise InputError("is a compiled program; this needs a sequence file", path=path)
     if is_gait_file(path):
-        from lss_motion.show.gait.to_sequence import sequence_of
+        from lss_motion.show.gait.load import sequence_of
 
         gait, walker = load_gait(path, robot_path, read_robot)
         return sequence_of(gait, walker), walker

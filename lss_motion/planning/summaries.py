@@ -534,7 +534,7 @@ def robot_lines(robot: Robot) -> list[str]:
     Raises `InputError` if the URDF file of its figure is wrong.
     """
     from lss_motion.files.source import counted
-    from lss_motion.show.gait.figure import figure_of
+    from lss_motion.show.gait.kinematics import figure_of
 
     counts = [counted(robot.joints, "joint"), counted(robot.poses, "pose")]
     lines = [f"{robot.name}: {', '.join(counts)}, {counted(robot.buses, 'bus', 'buses')}"]
@@ -565,7 +565,7 @@ def robot_as_json(robot: Robot) -> dict[str, Any]:
 
     Raises `InputError` as `robot_lines` does.
     """
-    from lss_motion.show.gait.figure import figure_of
+    from lss_motion.show.gait.kinematics import figure_of
 
     figure = figure_of(robot)
     return {

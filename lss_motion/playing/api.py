@@ -40,8 +40,7 @@ def load_sequence(path: Path | str | Mapping[str, object], robot: Robot | None =
     from lss_motion.show.gait import gait_as_sequence, is_gait_file
 
     if isinstance(path, Path | str) and is_gait_file(path):
-        from lss_motion.show.gait.load import load_gait
-        from lss_motion.show.gait.to_sequence import sequence_of
+        from lss_motion.show.gait.load import load_gait, sequence_of
 
         gait = load_gait(path, robot)
         assert gait.robot_path is not None, "without a robot it would not have been loaded"

@@ -353,6 +353,6 @@ def make_clock(
         return MonotonicClock()
     if not faults:
         return VirtualClock()
-    from lss_motion.sim.clocks import SleepyClock
+    from lss_motion.sim.faults import SleepyClock
 
     return SleepyClock(faults, seed=seed)

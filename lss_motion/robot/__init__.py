@@ -7,8 +7,8 @@ file            what it is                                        called by
 `servo_models`  the servo models and families, drives that fit    `load`, `program`, `player`, `sim`
 `profile`       how a servo moves on one command, its ramps        `trajectory`, `program`, `player`
 `on_fault`      faults of joints, and the steps taken on them     `model`, `program`, `player`
-`figure`        links that turn with joints, for pictures         `load`, `urdf`, `show.gait.figure`
-`urdf`          a URDF file → `Figure`                            `show.gait.figure`
+`figure`        links that turn with joints, for pictures         `load`, `urdf`, `gait`
+`urdf`          a URDF file → `Figure`                            `gait`
 `file`          the keys of a robot file, their units and bounds  `load`, `show.file`
 `load`          file → `Robot`; its JSON Schema                   `api`, `cli`, `sequence`, `gait`
 `write`         measured values → a robot file that exists        `cli`

@@ -2,7 +2,7 @@
 
 Frames are those of ROS (REP 103): x forward, y left, z up, in mm. A `Figure` comes from `figure` of
 a robot file (`robot.load`), from its `urdf` (`robot.urdf`) or from the legs of a gait
-(`show.gait.figure`). A browser draws it with the same rule that `Figure.placed` has:
+(`show.gait.kinematics`). A browser draws it with the same rule that `Figure.placed` has:
 
     link in the world = link of its parent · origin_mm · rotation · turn about axis
     turn = ratio · (joint angle - rest_deg)

@@ -16,9 +16,7 @@
 | `physics` | every physical number, with its source | all |
 | `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |
 | `deviation` | how the robot differs from what is assumed (`--sim`) | `connection`, `perform` |
-| `clocks` | a host that wakes late, and host and servo clocks that drift | `perform`, `bus` |
 | `hand` | a person who moves limp joints by hand | `motors`, `lss-motion sim` |
-| `horn_history` | the horn angles over time, which no servo reports | `motors`, `bus` |
 
 Not modelled: the acceleration sensors of LSS-PRO (they answer 0), the inertia of a load (it only
 pulls by its weight), noise on the lines other than that of `faults`, the colours that the LED

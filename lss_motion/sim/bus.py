@@ -16,9 +16,8 @@ from lss_motion.protocol.codec import storable, stored_wire
 from lss_motion.protocol.constants import BROADCAST_ID, Family
 from lss_motion.protocol.framing import commands_in
 from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, Board, make_boards
-from lss_motion.sim.clocks import Drift
-from lss_motion.sim.faults import FOREVER_NS, RESTARTING, FaultKind, Faults, SecondMaster
-from lss_motion.sim.horn_history import HornHistory
+from lss_motion.sim.faults import FOREVER_NS, RESTARTING, Drift, FaultKind, Faults, SecondMaster
+from lss_motion.sim.horns import HornHistory
 from lss_motion.sim.motors import Motors
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.sim.horn_history import HornHistory
+    from lss_motion.sim.horns import HornHistory
     from lss_motion.sim.physics import Physics, ServoSpec
 
 

@@ -13,7 +13,6 @@ installs it.
 | `envelope.py`     | loudness over time; syllables, swells, sides         | `interchange`        |
 | `beats.py`        | tempo and beats, as a proposal                       | `cli`                |
 | `waveform.py`     | a sound as it is drawn                               | `trajectory`, `cli`  |
-| `device_clock.py` | when the frames of a device sound                    | `device`             |
 | `device.py`       | the devices of this computer, one open stream        | `process`, `cli`     |
 | `process.py`      | the process that plays the sounds of a show          | started by `runtime` |
 """

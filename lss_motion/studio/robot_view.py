@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lss_motion.errors import InputError
-from lss_motion.show.gait.figure import figure_view
+from lss_motion.show.gait.kinematics import figure_view
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Robot

@@ -20,9 +20,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.planning.program.verify import driven, profiles
-from lss_motion.planning.trajectory.cues import all_cues, all_marks
 from lss_motion.planning.trajectory.model import LoopedSpan, PathMotion
-from lss_motion.planning.trajectory.playlist import PlayListPass
+from lss_motion.planning.trajectory.playlist import PlayListPass, all_cues, all_marks
 from lss_motion.planning.trajectory.tracks import ParallelPass
 from lss_motion.robot.profile import profile_lead_s
 from lss_motion.studio.view_curves import (

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from lss_motion.robot.load import load_robot
-from lss_motion.show.gait.figure import figure_of_legs
+from lss_motion.show.gait.kinematics import figure_of_legs
 from lss_motion.show.gait.load import load_gait
 
 pytestmark = pytest.mark.slow

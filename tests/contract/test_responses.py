@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from lss_motion.planning.program.response import PiecewiseProfile
-from lss_motion.planning.program.stepped import StepProfile
-from lss_motion.planning.program.streamed import FilterProfile
+from lss_motion.planning.program.streamed import FilterProfile, StepProfile
 from lss_motion.robot.model import Response
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus

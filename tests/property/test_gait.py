@@ -14,11 +14,9 @@ from lss_motion.errors import InputError
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.load import load_robot
 from lss_motion.show.gait.kinematics import forward, inverse, neutral_mm, reach_excess_mm
-from lss_motion.show.gait.load import load_gait
-from lss_motion.show.gait.model import BodyPose, Leg, LegKind, Walk
+from lss_motion.show.gait.load import load_gait, sequence_from
+from lss_motion.show.gait.model import PATTERNS, BodyPose, Leg, LegKind, Walk
 from lss_motion.show.gait.pacing import paced
-from lss_motion.show.gait.patterns import PATTERNS
-from lss_motion.show.gait.to_sequence import sequence_from
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 SAME_MM = 0.01

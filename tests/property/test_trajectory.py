@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.planning.trajectory.path import peaks
+from lss_motion.planning.trajectory.curves import peaks
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel

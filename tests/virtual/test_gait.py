@@ -11,8 +11,8 @@ from lss_motion.planning import shows
 from lss_motion.playing.perform import Observer, perform
 from lss_motion.show.gait.kinematics import forward
 from lss_motion.show.gait.load import load_gait
+from lss_motion.show.gait.model import PATTERNS
 from lss_motion.show.gait.pacing import joints_of, paced
-from lss_motion.show.gait.patterns import PATTERNS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 SLIP_MAX_MM = 0.6

@@ -21,11 +21,9 @@ from lss_motion.playing import api
 from lss_motion.playing.perform import perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.gait.kinematics import forward
-from lss_motion.show.gait.load import load_gait
-from lss_motion.show.gait.model import BodyPose, Walk
+from lss_motion.show.gait.load import load_gait, sequence_from
+from lss_motion.show.gait.model import PATTERNS, BodyPose, Walk
 from lss_motion.show.gait.pacing import paced
-from lss_motion.show.gait.patterns import PATTERNS
-from lss_motion.show.gait.to_sequence import sequence_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,6 @@
   segments   cuts references at the stops of a servo                 fit
   search     the next timed move: travel speed and length            fit
   cones      travel speeds that keep a profile near its reference    search, fit
-  quantize   travel speeds as targets and T that the wire carries    fit, the other drives, player
   moves      fitted moves as arrays, and the profiles they make      fit, schedule, verify
   streamed   model and fit of bare `D` through the filter of EM0     drives, verify, player
   stepped    model and fit of whole degrees for RC servos            drives, verify, player

@@ -32,8 +32,8 @@ from lss_motion.planning.program.schedule import (
     overload_error,
 )
 from lss_motion.planning.program.verify import verify_program
-from lss_motion.planning.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan, Trajectory
+from lss_motion.planning.trajectory.playlist import all_cues, all_marks, all_waits
 from lss_motion.robot.model import Robot
 from lss_motion.robot.profile import profile_lead_s
 from lss_motion.units import MS_PER_S, s_from_us, us_from_s

@@ -21,11 +21,9 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program.fit import TimedFit
 from lss_motion.planning.program.line import with_phases
-from lss_motion.planning.program.moves import fitted_profiles
-from lss_motion.planning.program.quantize import LATEST_ARRIVAL_S, nearest_wire
+from lss_motion.planning.program.moves import LATEST_ARRIVAL_S, fitted_profiles, nearest_wire
 from lss_motion.planning.program.reference_grid import GRID_S, servo_limits
-from lss_motion.planning.program.stepped import PULSE_S, StepFitter
-from lss_motion.planning.program.streamed import StreamFitter
+from lss_motion.planning.program.streamed import PULSE_S, StepFitter, StreamFitter
 from lss_motion.planning.program.verify import filter_profile
 from lss_motion.robot.servo_models import (
     FAMILIES,

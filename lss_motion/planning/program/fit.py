@@ -24,8 +24,8 @@ from lss_motion.planning.program.moves import (
     concatenated,
     discontinuities,
     no_moves,
+    quantized,
 )
-from lss_motion.planning.program.quantize import quantized
 from lss_motion.planning.program.reference_grid import (
     GRID_S,
     SEGMENT_MAX_S,

@@ -25,7 +25,7 @@ from lss_motion.planning.program.cones import (
     ramped,
     reach_steps,
 )
-from lss_motion.planning.program.quantize import SPEED_LEAST_DEG_S, durations_ms
+from lss_motion.planning.program.moves import SPEED_LEAST_DEG_S, durations_ms
 from lss_motion.planning.program.reference_grid import (
     AHEAD_MAX_STEPS,
     AUTHORITY_STEPS,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.planning.program.quantize import nearest_wire
+from lss_motion.planning.program.moves import nearest_wire
 from lss_motion.planning.program.reference_grid import GRID_S, STILL_ROUNDING_DEG
 
 if TYPE_CHECKING:

@@ -22,8 +22,7 @@ from lss_motion.planning.program.move_table import columns_of
 from lss_motion.planning.program.moves import profiles_from_rest, replayed
 from lss_motion.planning.program.reference_grid import LimitArrays, servo_limits
 from lss_motion.planning.program.response import PiecewiseProfile
-from lss_motion.planning.program.stepped import PULSE_S, StepProfile
-from lss_motion.planning.program.streamed import FilterProfile, filter_accel
+from lss_motion.planning.program.streamed import PULSE_S, FilterProfile, StepProfile, filter_accel
 from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.units import US_PER_S
 

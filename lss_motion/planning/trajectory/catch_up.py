@@ -21,7 +21,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lss_motion.planning.trajectory.braking import braked, mixed
-from lss_motion.planning.trajectory.path import peaks
+from lss_motion.planning.trajectory.curves import peaks
 from lss_motion.planning.trajectory.solver import (
     MARGIN_RATIO,
     RATE_SLACK,

@@ -15,8 +15,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
+from lss_motion.planning.trajectory.curves import peaks
 from lss_motion.planning.trajectory.keys import is_timed
-from lss_motion.planning.trajectory.path import peaks
 from lss_motion.planning.trajectory.planner import cache_name, plan
 from lss_motion.planning.trajectory.retime import laid_out
 from lss_motion.show.keyframes import at_speed

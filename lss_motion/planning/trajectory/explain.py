@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.planning.trajectory.catch_up import Dues
+    from lss_motion.planning.trajectory.curves import Path
     from lss_motion.planning.trajectory.keys import Spacing
     from lss_motion.planning.trajectory.model import PathClock
-    from lss_motion.planning.trajectory.path import Path
     from lss_motion.planning.trajectory.solver import RateTask, RateWindow
     from lss_motion.show.model import Keyframe
     from lss_motion.show.model import Sequence as Show

@@ -27,7 +27,7 @@ from lss_motion.planning.trajectory.closest_spline import (
 )
 from lss_motion.planning.trajectory.curves import shifted
 from lss_motion.planning.trajectory.model import AskedSpan, GivenUp, MissedKey
-from lss_motion.planning.trajectory.reserve import (
+from lss_motion.planning.trajectory.retime import (
     AT_LIMIT_RATIO,
     BREAK_S,
     RELENTLESS_LONG_S,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.planning.trajectory.closest_spline import Closest
-    from lss_motion.planning.trajectory.path import Path
+    from lss_motion.planning.trajectory.curves import Path
     from lss_motion.planning.trajectory.retime import Layout
 
     FloatArray = NDArray[np.float64]

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.planning.trajectory import explain
 from lss_motion.planning.trajectory.closest_spline import Bounds
-from lss_motion.planning.trajectory.curves import commands_of, shifted
+from lss_motion.planning.trajectory.curves import Path, commands_of, concatenate, peaks, shifted
 from lss_motion.planning.trajectory.keep_joint import (
     CELL_S,
     GIVEN_UP_MIN_DEG,
@@ -38,7 +38,6 @@ from lss_motion.planning.trajectory.model import (
     motions_of,
     steady_clock,
 )
-from lss_motion.planning.trajectory.path import Path, concatenate, peaks
 from lss_motion.planning.trajectory.retime import Layout, laid_out, scaled
 from lss_motion.planning.trajectory.smoothing import JERK_SLACK, jerk_limits, limited
 from lss_motion.planning.trajectory.tracks import ParallelPass, of_passes, verified

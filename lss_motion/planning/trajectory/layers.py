@@ -18,13 +18,17 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory import explain
 from lss_motion.planning.trajectory.catch_up import Dues
-from lss_motion.planning.trajectory.cues import all_cues, all_marks
+from lss_motion.planning.trajectory.curves import Path, cubics
 from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
 from lss_motion.planning.trajectory.model import PathMotion, Trajectory, motions_of, with_span
-from lss_motion.planning.trajectory.path import Path, cubics
 from lss_motion.planning.trajectory.plan_cache import PLANNER_VERSION, cached
-from lss_motion.planning.trajectory.reserve import with_reserve
-from lss_motion.planning.trajectory.retime import authored_clock, timed_windows, united
+from lss_motion.planning.trajectory.playlist import all_cues, all_marks
+from lss_motion.planning.trajectory.retime import (
+    authored_clock,
+    timed_windows,
+    united,
+    with_reserve,
+)
 from lss_motion.planning.trajectory.smoothing import even_clock, jerk_limits, limited, smooth_too
 from lss_motion.planning.trajectory.solver import RateTask
 from lss_motion.planning.trajectory.tracks import PERIOD_MAX_S, common_period_s

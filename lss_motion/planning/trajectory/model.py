@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text
-from lss_motion.planning.trajectory.path import Path
+from lss_motion.planning.trajectory.curves import Path
 from lss_motion.robot.on_fault import Escalations
 from lss_motion.show.model import Cue, Sequence, Wait
 from lss_motion.show.splines import distinct

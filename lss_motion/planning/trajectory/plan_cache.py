@@ -23,6 +23,7 @@ from msgspec import to_builtins
 from lss_motion.errors import InputError
 from lss_motion.files.cache import BYTES_MAX, PLAN_SUFFIX, cache_directory, store
 from lss_motion.files.source import bounded_data
+from lss_motion.planning.trajectory.curves import Path as JointPath
 from lss_motion.planning.trajectory.model import (
     AskedSpan,
     CommandedMove,
@@ -36,7 +37,6 @@ from lss_motion.planning.trajectory.model import (
     Trajectory,
     motions_of,
 )
-from lss_motion.planning.trajectory.path import Path as JointPath
 from lss_motion.planning.trajectory.recheck import is_within_limits
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.planning.trajectory.cues import planned_cues
 from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
 from lss_motion.planning.trajectory.plan_cache import PLANNER_VERSION, cached
+from lss_motion.planning.trajectory.playlist import planned_cues
 from lss_motion.robot.model import Robot
 from lss_motion.show.keyframes import at_speed
 from lss_motion.show.model import Sequence, Timing

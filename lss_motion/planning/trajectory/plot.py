@@ -12,7 +12,7 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.planning.picture import Instant, Timeline, draw_curve, new_figure, save, with_room
-from lss_motion.planning.trajectory.cues import all_cues, all_marks
+from lss_motion.planning.trajectory.playlist import all_cues, all_marks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -22,6 +22,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.curves import Path, peaks
 from lss_motion.planning.trajectory.keys import Margins, is_timed, keys_by_joint, rests_at
 from lss_motion.planning.trajectory.model import (
     PathClock,
@@ -32,7 +33,6 @@ from lss_motion.planning.trajectory.model import (
     motions_of,
     steady_clock,
 )
-from lss_motion.planning.trajectory.path import Path, peaks
 from lss_motion.planning.trajectory.retime import FIT_TOLERANCE_S, laid_out, scaled
 from lss_motion.planning.trajectory.tracks import planned_layout, planned_track, verified
 from lss_motion.show.model import Timing

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.planning.trajectory.path import Path
+    from lss_motion.planning.trajectory.curves import Path
 
     FloatArray = NDArray[np.float64]
 

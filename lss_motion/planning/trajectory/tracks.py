@@ -18,10 +18,9 @@ from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.planning.trajectory import explain
+from lss_motion.planning.trajectory.curves import cubics
 from lss_motion.planning.trajectory.keys import is_timed, named
 from lss_motion.planning.trajectory.model import PathMotion, Trajectory, steady_clock
-from lss_motion.planning.trajectory.path import cubics
-from lss_motion.planning.trajectory.reserve import with_reserve
 from lss_motion.planning.trajectory.retime import (
     FIT_TOLERANCE_S,
     REST_RATIO,
@@ -34,6 +33,7 @@ from lss_motion.planning.trajectory.retime import (
     slowed_to,
     stopping_clock,
     timed_windows,
+    with_reserve,
 )
 from lss_motion.planning.trajectory.solver import solve
 from lss_motion.planning.trajectory.verify import verify

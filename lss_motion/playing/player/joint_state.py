@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec.structs import replace
 
-from lss_motion.planning.program.quantize import nearest_wire
+from lss_motion.planning.program.moves import nearest_wire
 from lss_motion.planning.program.reference_grid import DURATION_MAX_MS, servo_limits
-from lss_motion.planning.program.stepped import PULSE_S
-from lss_motion.planning.program.streamed import FilterProfile
+from lss_motion.planning.program.streamed import PULSE_S, FilterProfile
 from lss_motion.planning.program.verify import make_profile, profiles
 from lss_motion.playing.player.estimators import (
     OFFSET_MAX_DEG,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import Final
 
-from lss_motion.planning.program.quantize import LATEST_ARRIVAL_S
+from lss_motion.planning.program.moves import LATEST_ARRIVAL_S
 from lss_motion.units import NS_PER_US, ns_from_s
 
 MISSED_NS: Final = ns_from_s(LATEST_ARRIVAL_S)

@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.planning.program.line import longest_move
-from lss_motion.planning.program.quantize import LATEST_ARRIVAL_S
+from lss_motion.planning.program.moves import LATEST_ARRIVAL_S
 from lss_motion.planning.program.streamed import FilterProfile
 from lss_motion.playing.player.setpoints import closing_deg
 from lss_motion.protocol.framing import encode_move

@@ -3,19 +3,15 @@
 =============  ===================================================  ===============================
 file           what it is                                           called by
 =============  ===================================================  ===============================
-`model`        the values: `Gait`, `Leg`, `Walk`, `BodyMove`, …     every module here, `walking`
-`patterns`     lift times of the legs by pattern; order of legs     `load`, `file`
+`model`        the values: `Gait`, `Leg`, `Walk`, …; the patterns   every module here, `walking`
 `file`         the keys of a gait file, their units and bounds      `load`
-`load`         file → `Gait`, with its robot; its JSON Schema       `api`, `cli`
+`load`         file → `Gait` → `Sequence`; its JSON Schema          `api`, `cli`
 `curves`       smooth curves of single quantities                   the modules below, `walking`
 `kinematics`   joint angles ⇄ foot of a leg; stability of a stance  `passage`, `pacing`, `steering`
 `stepping`     paths of body and feet over the ground               `passage`, `steering`, `walking`
 `passage`      body and feet from rest to rest                      `pacing`, `steering`
-`pacing`       passages → joint angles within the servo limits      `to_sequence`, `cli`, `walking`
-`to_sequence`  joint angles → keyframes                             `api`, `cli`
-`steering`     plans of a walk whose velocity changes on the way    `playing.walking.planner`,
-`cli.walk` `figure`       legs → `Figure`; the figure of any robot          `cli`, `studio`
-`plot`         picture of a gait                                    `cli.walk`
+`pacing`       passages → joint angles within the servo limits      `load`, `cli`, `walking`
+`steering`     plans of a walk whose velocity changes on the way    `walking.planner`, `cli.walk`
 =============  ===================================================  ===============================
 
 No module reads a clock. Of the servos, only the limits of the robot file are used.
@@ -51,7 +47,6 @@ def gait_as_sequence(path: Path, robot: Robot) -> Sequence | None:
     """
     if not is_gait_file(path):
         return None
-    from lss_motion.show.gait.load import load_gait
-    from lss_motion.show.gait.to_sequence import sequence_of
+    from lss_motion.show.gait.load import load_gait, sequence_of
 
     return sequence_of(load_gait(path, robot), robot)

@@ -13,8 +13,7 @@ from pydantic import AfterValidator, Field
 from lss_motion.files.validation import FileModel, Name, Text
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 from lss_motion.show.file import Loop, TimeS  # noqa: TC001  (pydantic reads them)
-from lss_motion.show.gait.model import LegKind
-from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.model import PATTERNS, LegKind
 from lss_motion.show.model import TIME_MAX_S
 
 LENGTH_MAX_MM: Final = 10_000.0

@@ -98,8 +98,12 @@ class SoundSource:
     """LTC from a sound input."""
 
     def __init__(self, spec: FollowSpec, say: Any) -> None:  # noqa: ANN401
-        from lss_motion.sound.device import NoDeviceError, chosen_device, sounddevice_module
-        from lss_motion.sound.device_clock import DeviceClock
+        from lss_motion.sound.device import (
+            DeviceClock,
+            NoDeviceError,
+            chosen_device,
+            sounddevice_module,
+        )
 
         self._blocks: queue.Queue[tuple[int, int, Any]] = queue.Queue(QUEUE_MAX)
         self._say = say

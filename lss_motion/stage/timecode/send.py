@@ -265,8 +265,12 @@ class LtcSender:
     """LTC on a sound device, by the clock of the show: the device's own may differ."""
 
     def __init__(self, spec: SendSpec, show: ShowNow) -> None:
-        from lss_motion.sound.device import NoDeviceError, chosen_device, sounddevice_module
-        from lss_motion.sound.device_clock import DeviceClock
+        from lss_motion.sound.device import (
+            DeviceClock,
+            NoDeviceError,
+            chosen_device,
+            sounddevice_module,
+        )
 
         self._spec, self._show, self._frame = spec, show, 0
         self._at = 0.0

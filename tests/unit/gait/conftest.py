@@ -9,8 +9,7 @@ from msgspec.structs import replace
 
 from lss_motion.robot.load import load_robot
 from lss_motion.show.gait.load import load_gait
-from lss_motion.show.gait.model import BodyPose, Walk
-from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.model import PATTERNS, BodyPose, Walk
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 

@@ -9,9 +9,8 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.show.gait.curves import spline
 from lss_motion.show.gait.kinematics import forward
-from lss_motion.show.gait.model import BodyMove, BodyPose, Wave
+from lss_motion.show.gait.model import PATTERNS, BodyMove, BodyPose, Wave
 from lss_motion.show.gait.pacing import ACCEL_SHARE, FOOT_ERROR_MM, joints_of, paced
-from lss_motion.show.gait.patterns import PATTERNS
 
 ALL = [*PATTERNS[6], *PATTERNS[4]]
 STATIC = [name for known in PATTERNS.values() for name, own in known.items() if own.is_static]

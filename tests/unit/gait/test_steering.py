@@ -6,8 +6,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.show.gait.kinematics import forward, neutral_mm
-from lss_motion.show.gait.model import BodyPose
-from lss_motion.show.gait.patterns import PATTERNS
+from lss_motion.show.gait.model import PATTERNS, BodyPose
 from lss_motion.show.gait.steering import Steering, slowed_to_limits
 from lss_motion.show.gait.stepping import STILL, Twist
 

@@ -12,10 +12,9 @@ from lss_motion.planning import shows
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing import api
 from lss_motion.show.check import check_sequence
-from lss_motion.show.gait.load import load_gait
+from lss_motion.show.gait.load import load_gait, sequence_from, sequence_of
 from lss_motion.show.gait.model import LAID_OUT_CYCLES, BodyMove, BodyPose
 from lss_motion.show.gait.pacing import joints_of, paced
-from lss_motion.show.gait.to_sequence import sequence_from, sequence_of
 from lss_motion.show.load import load_sequence
 from lss_motion.show.model import Interpolation, Timing
 from lss_motion.show.write import write_sequence

@@ -18,7 +18,7 @@ from hypothesis import event, example, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from lss_motion.planning.program.quantize import nearest_wire
+from lss_motion.planning.program.moves import nearest_wire
 from lss_motion.planning.program.reference_grid import servo_limits
 from lss_motion.playing.player.estimators import DEAD_S, POINTS_MAX, Trace
 from lss_motion.playing.player.joint_state import REST_DEG_S

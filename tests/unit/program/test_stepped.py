@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.planning.program.stepped import PULSE_S
+from lss_motion.planning.program.streamed import PULSE_S
 from lss_motion.robot.servo_models import SERVO_MODELS
 
 

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from lss_motion.errors import InputError
 from lss_motion.robot.load import load_robot
-from lss_motion.show.gait.figure import figure_of, figure_of_legs
-from lss_motion.show.gait.kinematics import forward
+from lss_motion.show.gait.kinematics import figure_of, figure_of_legs, forward
 from lss_motion.show.gait.load import load_gait
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"

@@ -2,8 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.sim.clocks import Drift
-from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.faults import Drift, Fault, FaultKind
 
 S = 1_000_000_000
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lss_motion.sim.horn_history import FIRST_ROWS, HornHistory
+from lss_motion.sim.horns import FIRST_ROWS, HornHistory
 
 
 def test_angles_between_rows_lie_on_the_line_and_outside_at_the_ends():

@@ -2,8 +2,7 @@ import pytest
 
 from lss_motion.errors import BlockedPortError, BusError
 from lss_motion.sim.bus import SimBus
-from lss_motion.sim.clocks import SleepyClock
-from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.faults import Fault, FaultKind, SleepyClock
 from lss_motion.sim.port import SimPort
 from lss_motion.system.clock import VirtualClock
 

@@ -2,7 +2,7 @@ import random
 
 import pytest
 
-from lss_motion.sound.device_clock import DeviceClock
+from lss_motion.sound.device import DeviceClock
 
 RATE_HZ = 48000
 BLOCK = 480

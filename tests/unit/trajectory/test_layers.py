@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.program.compile import compile_program
-from lss_motion.planning.trajectory.cues import all_cues
 from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.playlist import all_cues
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.show.model import Cue, Layer, Sequence, Step
 from tests.unit.trajectory.shows import at, blink, show

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.planning.trajectory.cues import all_marks
 from lss_motion.planning.trajectory.planner import plan
+from lss_motion.planning.trajectory.playlist import all_marks
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.show.model import Sequence
 

@@ -15,8 +15,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.files import cache
+from lss_motion.planning.trajectory.curves import Path as JointPath
 from lss_motion.planning.trajectory.model import PathClock, PathMotion
-from lss_motion.planning.trajectory.path import Path as JointPath
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.recheck import _Limits, _pieces_within, is_within_limits
 from lss_motion.planning.trajectory.verify import verify

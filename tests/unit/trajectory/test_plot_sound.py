@@ -67,4 +67,4 @@ def test_without_the_extra_the_picture_says_what_is_missing(show, tmp_path, monk
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "soundfile", None)
     plot(trajectory, robot, tmp_path / "s.png")
-    assert any("voice.wav is not drawn: sound files need a library: pip" in text for text in said)
+    assert any("voice.wav is not drawn: sound files need a library: " in text for text in said)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program import compile as compiling
 from lss_motion.planning.program.compile import compile_program
-from lss_motion.planning.trajectory import reserve, solver
+from lss_motion.planning.trajectory import retime, solver
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.retime import laid_out
 from lss_motion.planning.trajectory.solver import is_legal, solve
@@ -46,7 +46,7 @@ def unreserved(monkeypatch):
 
     def planned(sequence, robot):
         with monkeypatch.context() as patch:
-            patch.setattr(reserve, "_shares", lambda *_: None)
+            patch.setattr(retime, "_shares", lambda *_: None)
             return planned_track(sequence, robot)
 
     return planned
@@ -150,7 +150,7 @@ def test_moves_that_lose_their_plan_are_chosen_again_at_another_tolerance(monkey
     """The motion is one that was found: that of another reserve keeps its plan at once."""
     robot = robot_with("LSS-HS1", accel_max_deg_s2=900.0)
     with monkeypatch.context() as patch:
-        patch.setattr(reserve, "RELENTLESS_SHARE", 0.98)
+        patch.setattr(retime, "RELENTLESS_SHARE", 0.98)
         trajectory = planned_track(jaw(100, gap_s=0.1), robot)
     with monkeypatch.context() as patch:
         patch.setattr(compiling, "RECOVERY_RATIOS", ())

@@ -10,8 +10,8 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.curves import Path
 from lss_motion.planning.trajectory.model import PathClock, PathMotion, Trajectory
-from lss_motion.planning.trajectory.path import Path
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import extreme, verify
 from lss_motion.show.model import Sequence, Timing
