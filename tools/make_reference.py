@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lss_motion.cli import main, play
+from lss_motion.cli.commands import COMMANDS
 from lss_motion.robot.learnt import learnt_schema
 from lss_motion.robot.load import robot_schema
 from lss_motion.show.gait.load import gait_schema
@@ -163,7 +164,7 @@ def parsers() -> list[argparse.ArgumentParser]:
         for action in motion._actions  # noqa: SLF001  argparse has no public list
         if isinstance(action, argparse._SubParsersAction)  # noqa: SLF001
     )
-    return [play.make_parser(), *chosen.choices.values()]
+    return [play.make_parser(), *(chosen.choices[name] for name in COMMANDS)]
 
 
 def command_section(parser: argparse.ArgumentParser) -> Iterator[str]:

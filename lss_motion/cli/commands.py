@@ -23,7 +23,7 @@ from lss_motion import __version__
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.planning.shows import Show
     from lss_motion.robot.model import Robot
@@ -56,43 +56,75 @@ SIM_HELP: Final = (
 VIRTUAL_HELP: Final = "simulate in virtual time: fast, and the same on every run"
 SIMULATED_NOTE: Final = "The servos are simulated: these values tell nothing about a real robot."
 
-COMMANDS: Final = {
-    "example": "list the examples, or write one here",
-    "check": "check a file; print what was slowed and why",
-    "plan": "plan a sequence; write it as a table or a picture",
-    "compile": "compile a sequence to a program (.lss)",
-    "schema": "print the JSON Schema of our files or messages",
-    "gait": "describe how a gait walks; write keyframes or a picture",
-    "play": "the same as lss-play",
-    "studio": "see and run a show in a browser",
-    "serve": "run a stage: shows, cues, its operator's page",
-    "install-service": "start a stage with the computer, by systemd",
-    "sim": "simulate a robot behind a pseudo-terminal",
-    "doctor": "check this computer; print what to do",
-    "devices": "list the sound devices",
-    "scan": "find ports, baud rates and servos",
-    "configure": "read, compare and write settings",
-    "monitor": "show the live state of all servos",
-    "send": "send one command to one servo; print the reply",
-    "record": "record a motion shown by hand as a sequence file",
-    "replay": "print a log of lss-play, or run it again",
-    "report": "print a report of lss-play, or compare two",
-    "morning": "sum up a night of a stage from its log",
-    "jog": "move joints with keys; write poses into the robot file",
-    "calibrate": "find zero and direction of each joint by hand",
-    "import": "turn another tool's motion into a sequence file",
-    "export": "write the motion of a sequence for other tools",
-    "beats": "find the beats of music, and put them into a show",
-    "identify": "measure the response of servos",
-    "walk": "walk a gait, steered with keys or a gamepad",
-    "stage-keys": "make keys for the computers of a stage",
-    "reference": "print the commands of the servos",
-    "completion": "print the script that completes commands with the Tab key",
+COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
+    "make a show": {
+        "example": ("examples", "list the examples, or write one here"),
+        "check": ("planning", "check a file; print what was slowed and why"),
+        "plan": ("planning", "plan a sequence; write it as a table or a picture"),
+        "compile": ("planning", "compile a sequence to a program (.lss)"),
+        "gait": ("planning", "describe how a gait walks; write keyframes or a picture"),
+        "record": ("record", "record a motion shown by hand as a sequence file"),
+        "jog": ("jog", "move joints with keys; write poses into the robot file"),
+        "import": ("exchange", "turn another tool's motion into a sequence file"),
+        "export": ("exchange", "write the motion of a sequence for other tools"),
+        "beats": ("beats", "find the beats of music, and put them into a show"),
+    },
+    "play it": {
+        "play": ("play", "the same as lss-play"),
+        "walk": ("walk", "walk a gait, steered with keys or a gamepad"),
+        "studio": ("studio", "see and run a show in a browser"),
+        "sim": ("simulate", "simulate a robot behind a pseudo-terminal"),
+        "replay": ("replay", "print a log of lss-play, or run it again"),
+        "report": ("report", "print a report of lss-play, or compare two"),
+    },
+    "look after robots": {
+        "scan": ("scan", "find ports, baud rates and servos"),
+        "configure": ("configure", "read, compare and write settings"),
+        "calibrate": ("calibrate", "find zero and direction of each joint by hand"),
+        "identify": ("identify", "measure the response of servos"),
+        "monitor": ("monitor", "show the live state of all servos"),
+        "send": ("send", "send one command to one servo; print the reply"),
+        "doctor": ("doctor", "check this computer; print what to do"),
+        "devices": ("doctor", "list the sound devices"),
+    },
+    "several shows and computers": {
+        "serve": ("serve", "run a stage: shows, cues, its operator's page"),
+        "install-service": ("service", "start a stage with the computer, by systemd"),
+        "stage-keys": ("stage_keys", "make keys for the computers of a stage"),
+        "morning": ("morning", "sum up a night of a stage from its log"),
+    },
+    "other": {
+        "schema": ("planning", "print the JSON Schema of our files or messages"),
+        "reference": ("reference", "print the commands of the servos"),
+        "completion": ("completion", "print the script that completes commands with the Tab key"),
+    },
 }
-"""The commands of `lss-motion`, each with its line in the list of commands.
+"""The commands of `lss-motion` by what a person wants: module of `cli`, line in the list.
 
 Here, so that the list is printed without importing the modules of all commands.
 """
+COMMANDS: Final = {name: row for group in COMMAND_GROUPS.values() for name, row in group.items()}
+
+
+class ProgramParser(argparse.ArgumentParser):
+    """The parser of `lss-motion`: its help lists the commands by what a person wants."""
+
+    def format_help(self) -> str:
+        """Return the help."""
+        [found] = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))  # noqa: SLF001
+        listed = {action.dest: action for action in found._choices_actions}  # noqa: SLF001
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        for title, commands in COMMAND_GROUPS.items():
+            formatter.start_section(title)
+            formatter.add_arguments([listed[name] for name in commands if name in listed])
+            formatter.end_section()
+        formatter.start_section("options")
+        formatter.add_arguments([action for action in self._actions if action is not found])
+        formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -121,7 +153,7 @@ def add_command(
 
     Without `description` the help of the command begins with its line of `COMMANDS`, as a sentence.
     """
-    text = COMMANDS[name]
+    _, text = COMMANDS[name]
     added = commands.add_parser(
         name,
         help=text,

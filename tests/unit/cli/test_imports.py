@@ -3,19 +3,22 @@
 import argparse
 import importlib
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from lss_motion.cli.commands import COMMANDS
-from lss_motion.cli.main import COMPLETION, GROUPS
+from lss_motion.cli.commands import COMMAND_GROUPS, COMMANDS
+from lss_motion.cli.main import COMPLETION
 from lss_motion.planning.show_cache import MAKERS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
 HEAVY = ("numpy", "scipy", "toppra", "pydantic", "yaml", "serial", "rich", "matplotlib")
+
+MODULES = tuple(dict.fromkeys(module for module, _ in COMMANDS.values() if module != COMPLETION))
 
 SET_BY_CLI = ("OPENBLAS_NUM_THREADS", "PYDANTIC_DISABLE_PLUGINS")
 """Environment variables that `lss_motion.cli` sets unless the user does."""
@@ -46,16 +49,25 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
     done = subprocess.run(
         [sys.executable, "-c", code, "--help"], capture_output=True, text=True, check=True
     )
-    assert all(f"    {name} " in done.stdout.replace("\n", " ") for name in COMMANDS)
+    assert all(f"  {name} " in done.stdout.replace("\n", " ") for name in COMMANDS)
     loaded = done.stdout.splitlines()[-1].split()[1:]
     assert set(loaded) == {
         f"lss_motion.cli.{name}" for name in ("commands", "main", "messages", "start")
     }
 
 
-def test_the_list_of_commands_names_them_all_in_the_order_of_their_modules() -> None:
-    named = [name for names in GROUPS.values() for name in names]
-    assert list(COMMANDS) == [*named, COMPLETION]
+def test_without_a_command_the_list_of_commands_is_printed_by_what_a_person_wants() -> None:
+    done = [
+        subprocess.run(
+            [sys.executable, "-m", "lss_motion", *words], capture_output=True, text=True, check=True
+        ).stdout
+        for words in ([], ["--help"])
+    ]
+    assert done[0] == done[1]
+    at = [done[0].index(f"\n{title}:\n") for title in COMMAND_GROUPS]
+    assert at == sorted(at)
+    listed = re.findall(r"^  ([a-z][a-z-]*) ", done[0], re.MULTILINE)
+    assert listed == list(COMMANDS)
 
 
 def test_check_imports_its_own_command_and_no_gait() -> None:
@@ -82,7 +94,7 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
     assert plugins == "plugins: None"  # was not looked for
     loaded = set(last.split())
     assert {"lss_motion.cli.planning", "lss_motion.planning.trajectory.planner"} <= loaded
-    others = {f"lss_motion.cli.{group}" for group in GROUPS} - {"lss_motion.cli.planning"}
+    others = {f"lss_motion.cli.{module}" for module in MODULES} - {"lss_motion.cli.planning"}
     needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.show.gait.load"}
     needless |= {"lss_motion.stage.load", "lss_motion.stage.model"}
     assert not loaded & (others | needless)
@@ -146,8 +158,8 @@ def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> N
     assert others <= {"cli"}
 
 
-@pytest.mark.parametrize("group", GROUPS)
-def test_the_table_of_commands_says_what_each_module_adds(group) -> None:
+@pytest.mark.parametrize("module", MODULES)
+def test_the_table_of_commands_says_what_each_module_adds(module) -> None:
     added: list[str] = []
 
     class Commands:
@@ -155,5 +167,5 @@ def test_the_table_of_commands_says_what_each_module_adds(group) -> None:
             added.append(name)
             return argparse.ArgumentParser()
 
-    importlib.import_module(f"lss_motion.cli.{group}").add_to(Commands())
-    assert tuple(added) == GROUPS[group]
+    importlib.import_module(f"lss_motion.cli.{module}").add_to(Commands())
+    assert sorted(added) == sorted(name for name, row in COMMANDS.items() if row[0] == module)
