@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.playing.player.events import Phase
 from lss_motion.stage.hosts.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
 from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor, State, Wish
 from lss_motion.stage.hosts.figure import (
@@ -22,7 +23,7 @@ from lss_motion.stage.hosts.figure import (
     Fetch,
     Figure,
     Follow,
-    PlayerView,
+    PlayerReport,
     StopPlayer,
     Verify,
 )
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 TICK_NS: Final = 10 * NS_PER_MS
 STATUS_NS: Final = 200 * NS_PER_MS
+FREEWHEEL_NS: Final = 3 * NS_PER_S
+"""As a player freewheels from the last beat on (`player_link.PlayerLink`)."""
 RETRANSMIT_NS: Final = 210 * NS_PER_MS
 """What is lost on a line of TCP arrives so much later (the least of Linux, 200 ms)."""
 
@@ -80,57 +83,84 @@ class ClockModel:
         return (own_ns - self.offset_ns) / (1.0 + self.ppm * 1e-6)
 
 
+def reported(does: str, show_s: float | None = None, **fields: Any) -> PlayerReport:  # noqa: ANN401
+    """Return what a player reports that does this (`figure.Does`)."""
+    phases = {"starting": Phase.APPROACH, "stopping": Phase.STOP}
+    return PlayerReport(
+        is_running=does in ("starting", "standing", "playing", "stopping"),
+        phase=phases.get(does, Phase.SHOW),
+        show_s=show_s,
+        outcome={"ended": "finished", "failed": "failed"}.get(does, ""),  # type: ignore[arg-type]
+        **fields,
+    )
+
+
 class ModelPlayer:
-    """What a player tells: started, it stands after `arm_ns`, and plays from the first leg on."""
+    """What a player reports: started, it stands after `arm_ns`, and plays from the first leg on.
+
+    Without legs it goes on for `FREEWHEEL_NS`, and then stands.
+    """
 
     def __init__(self, arm_ns: int, duration_s: float) -> None:
-        self.view = PlayerView()
+        self.report = PlayerReport()
+        self.does = "none"
         self.follows: list[tuple[int, Follow]] = []
         self.stops = 0
         self._arm_ns, self._duration_s = arm_ns, duration_s
         self._at_ns = 0
         self._leg: Follow | None = None
         self._coming: Follow | None = None
+        self._told_ns = 0
         self.starts = 0
         self.way_ns = 0
         """How long the robot goes to a place that was sought."""
         self._there_ns = 0
 
+    def becomes(self, does: str, show_s: float | None = None, **fields: Any) -> None:  # noqa: ANN401
+        """Do something else, and report it."""
+        self.does, self.report = does, reported(does, show_s, **fields)
+
     def act(self, action: Action, now_ns: int) -> None:
         match action:
             case Arm():
-                self.view, self._at_ns = PlayerView("starting"), now_ns + self._arm_ns
+                self.becomes("starting")
+                self._at_ns = now_ns + self._arm_ns
                 self._leg = self._coming = None
                 self.starts += 1
-            case Follow() if self.view.phase in ("standing", "playing"):
+            case Follow() if self.does in ("standing", "playing"):
                 self.follows.append((now_ns, action))
+                self._told_ns = max(now_ns, action.instant_ns)
                 if self._leg is None or action.instant_ns <= now_ns:
                     self._leg, self._coming = action, None
                 else:
                     self._coming = action
-            case StopPlayer() if self.view.phase != "none":
+            case StopPlayer() if self.does != "none":
                 self.stops += 1
-                self.view, self._at_ns = PlayerView("stopping"), now_ns + NS_PER_S // 2
+                self.becomes("stopping")
+                self._at_ns = now_ns + NS_PER_S // 2
 
-    def tick(self, now_ns: int) -> PlayerView:
-        phase = self.view.phase
-        if phase == "starting" and now_ns >= self._at_ns:
-            self.view = PlayerView("standing", 0.0)
-        elif phase == "stopping" and now_ns >= self._at_ns:
-            self.view = PlayerView("none")
-        elif phase in ("standing", "playing") and self._leg is not None:
+    def tick(self, now_ns: int) -> PlayerReport:
+        if self.does == "starting" and now_ns >= self._at_ns:
+            self.becomes("standing", 0.0)
+        elif self.does == "stopping" and now_ns >= self._at_ns:
+            self.becomes("none")
+        elif self.does in ("standing", "playing") and self._leg is not None:
             if self._coming is not None and now_ns >= self._coming.instant_ns:
                 self._leg, self._coming = self._coming, None
-            leg = self._leg
-            if now_ns >= leg.instant_ns:
-                show_s = leg.show_s + leg.rate * (now_ns - leg.instant_ns) / NS_PER_S
-                if leg.rate == 0.0 and show_s != self.view.show_s:
-                    self._there_ns = leg.instant_ns + self.way_ns
-                stands = leg.rate == 0.0 and now_ns >= self._there_ns
-                self.view = PlayerView("playing", show_s, stands=stands)
-                if show_s >= self._duration_s:
-                    self.view = PlayerView("ended")
-        return self.view
+            if now_ns >= self._leg.instant_ns:
+                self._follow(self._leg, now_ns)
+        return self.report
+
+    def _follow(self, leg: Follow, now_ns: int) -> None:
+        until_ns = min(now_ns, self._told_ns + FREEWHEEL_NS)
+        show_s = leg.show_s + leg.rate * (until_ns - leg.instant_ns) / NS_PER_S
+        if leg.rate == 0.0 and show_s != self.report.show_s:
+            self._there_ns = leg.instant_ns + self.way_ns
+        stands = until_ns < now_ns or (leg.rate == 0.0 and now_ns >= self._there_ns)
+        if show_s >= self._duration_s:
+            self.becomes("ended")
+        else:
+            self.becomes("playing", show_s, stands=stands)
 
 
 class Host:

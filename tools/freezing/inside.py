@@ -229,7 +229,7 @@ def play_computers(
                 yield from _news(world, host, states, marks)
             yield from ((world.now_ns / NS_PER_S, "conductor", one) for one in world.notes)
             world.notes.clear()
-            if all(host.player.view.phase == "ended" for host in world.hosts.values()):
+            if all(host.player.does == "ended" for host in world.hosts.values()):
                 break
         do(world)
     for (program, robot), host in zip(programs, world.hosts.values(), strict=True):
@@ -251,7 +251,7 @@ def _news(
     world: World, host: Host, states: dict[str, str], marks: dict[str, int]
 ) -> Iterator[tuple[float, str, str]]:
     at_s, name = world.now_ns / NS_PER_S, host.name
-    state = f"{host.figure.state}, player {host.player.view.phase}"
+    state = f"{host.figure.state}, player {host.player.does}"
     if states.get(name) != state:
         states[name] = state
         yield at_s, name, state

@@ -153,7 +153,7 @@ def duet(left: str, right: str) -> None:
 
     script = [
         (5.0, lambda world: world.conductor.pause(world.now_ns)),
-        (8.0, lambda world: world.conductor.resume(world.now_ns)),
+        (8.0, lambda world: world.conductor.pause(world.now_ns, is_paused=False)),
         (11.0, lambda world: world.conductor.set_rate(0.5, world.now_ns)),
         (15.0, lambda world: world.conductor.set_rate(1.0, world.now_ns)),
         (16.0, lambda world: cut(world, is_cut=True)),

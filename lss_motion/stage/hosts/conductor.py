@@ -142,10 +142,9 @@ class Conductor:
         epoch: int,
         instance: str,
         others: Others = "hold",
-        freewheel_s: float = 2.0,
     ) -> None:
         self.name, self.epoch, self.instance = name, epoch, instance
-        self.others, self.freewheel_s = others, freewheel_s
+        self.others = others
         self.figures = {one: RemoteFigure(one) for one in figures}
         self.listener: Listener | None = None
         self.state = State.CONNECTING
@@ -213,7 +212,6 @@ class Conductor:
             cast=None if self._cast is None else self._cast[1],
             catalogue=self.catalogue,
             leg=self.legs.newest,
-            freewheel_s=self.freewheel_s,
             start_s=self._start_s,
             examines=self.examines,
         )
@@ -235,6 +233,11 @@ class Conductor:
         else:
             self._meet(figure, status, now_ns)
         figure.take_status(status, now_ns)
+
+    def take_other_protocol(self, name: str, protocol: int, now_ns: int) -> None:
+        """Note a figure of another version, whose state cannot be read."""
+        if (figure := self.figures.get(name)) is not None:
+            figure.other_protocol, figure.heard_ns = protocol, now_ns
 
     def _meet(self, figure: RemoteFigure, status: Status, now_ns: int) -> None:
         """Begin a later epoch than that of the conductor before this one, or give way to it.

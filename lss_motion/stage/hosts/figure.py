@@ -1,12 +1,25 @@
 """A figure: follows its conductor, and is safe without it. No network, player, clock or port.
 
-It takes what arrives (beats, content, the clock of the conductor, the state of its player), and
-`tick` returns what must be done (`Action`). The states are those of `messages.FigureState`:
+It is given what arrives (beats, content, the clock of the conductor, what its player reports), and
+`tick` returns what must be done (`Action`). Its state follows from what is wanted of it (rows) and
+what its player does (columns); "the run" is the one that its player was started for:
 
-    alone ─ idle ─ fetching ─ verifying ─ synchronising ─ ready ─ arming ─ armed ─ playing ─ ended
-                                                                              │  ▲
-                      conductor lost: freewheeling, then holding ◄────────────┘  │ is back: rejoins
-                      stopped by the conductor, or by a fault: stopped; robot differs: out
+               none or ended      starting  standing  playing    stopping  failed
+    ---------  -----------------  --------  --------  ---------  --------  -------
+    unknown    alone              STOP      STOP      STOP       stopping  alone
+    lost       alone              STOP      STOP      FREEWHEEL  stopping  alone
+    nothing    idle               STOP      STOP      STOP       stopping  idle
+    stopped    stopped            STOP      STOP      STOP       stopping  stopped
+    ready      PREPARE            STOP      STOP      STOP       stopping  PREPARE
+    armed      ARM                STOP      STOP      STOP       stopping  ARM
+    the run    stopped; or ended  arming    FOLLOW    FOLLOW     stopping  stopped
+
+Capitals are what is done, and the state says how far it is. STOP: stopping. PREPARE: idle (no part
+in the show), out (another robot, or a plan that does not fit), fetching, verifying, synchronising,
+ready. ARM: the same, then arming. FOLLOW: armed, playing, or stopping where the show has ended
+without this figure. FREEWHEEL: freewheeling, then holding. How long the player freewheels before it
+holds, and how it comes into step, it decides itself (`player.following`): it gets legs only while
+beats arrive.
 
 One conductor is followed at a time. Another one is refused while the first is there, and for ever
 if its epoch is lower than that of the last one: then it is an old process that came back.
@@ -15,17 +28,20 @@ if its epoch is lower than that of the last one: then it is an old process that 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Literal
 
 from msgspec import Struct
 
 from lss_motion.errors import InputError
+from lss_motion.playing.player.events import Phase
 from lss_motion.stage.hosts.messages import (
     CAST_MAX_BYTES,
     EPOCHS_AHEAD,
     PROTOCOL,
     Cast,
     Catalogue,
+    FigureState,
     Status,
     hash_of,
     parse,
@@ -34,8 +50,10 @@ from lss_motion.stage.hosts.remote_figures import LOST_NS
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from lss_motion.stage.hosts.clocks import ClockEstimate
-    from lss_motion.stage.hosts.messages import Beat, FigureState, NetworkLeg, Part, StopAll
+    from lss_motion.stage.hosts.messages import Beat, NetworkLeg, Part, StopAll
 
 FETCH_AGAIN_NS: Final = NS_PER_S
 FOLLOW_NS: Final = 200 * NS_PER_MS
@@ -69,22 +87,46 @@ AT_LEISURE: Final = frozenset({"idle", "ready", "playing", "stopped", "ended"})
 """States in which what may be wanted later is fetched and verified, one plan at a time. An idle
 show may play all evening."""
 
-PlayerPhase = Literal["none", "starting", "standing", "playing", "stopping", "ended", "failed"]
-"""`standing`: the robot is at the start and waits for a leg. `ended`: by itself, at its end."""
+Wants = Literal["unknown", "lost", "nothing", "stopped", "ready", "armed", "the run"]
+"""What is wanted of a figure."""
+Does = Literal["none", "starting", "standing", "playing", "stopping", "ended", "failed"]
+"""What its player does. `standing`: the robot waits at its place for a leg."""
+STARTING: Final = frozenset({"", Phase.CONNECT, Phase.READY, Phase.PREPARE, Phase.APPROACH})
+"""Phases of a player that is on its way to the start."""
+ENDING: Final = frozenset({Phase.STOP, Phase.RESTORE, Phase.DONE})
 
 
-class PlayerView(Struct, frozen=True):
+class PlayerReport(Struct, frozen=True, kw_only=True):
     """What is known of the player of this figure."""
 
-    phase: PlayerPhase = "none"
+    is_running: bool = False
+    """Whether it has a job that has not ended."""
+    phase: str = ""
+    """By `player.events.Phase`; empty: none is known yet."""
+    is_stopped: bool = False
+    """Whether it was told to stop."""
     show_s: float | None = None
+    stands: bool = False
+    """Whether the robot stands at `show_s`, and goes to no other place."""
+    outcome: Literal["", "finished", "failed"] = ""
+    """How it ended; empty: it has not, or was stopped."""
     text: str = ""
     cause: str = ""
     """Kind of the fault by which it `failed`, or `error`."""
     hottest_c: float | None = None
     late_us: int | None = None
-    stands: bool = False
-    """Whether the robot stands at `show_s`, and goes to no other place."""
+
+    def does(self, first_ns: int | None, now_ns: int) -> Does:
+        """Return what it does, if the first leg that it was given begins at `first_ns`."""
+        if self.outcome:
+            return "ended" if self.outcome == "finished" else "failed"
+        if not self.is_running:
+            return "none"
+        if self.phase in ENDING and (self.is_stopped or self.phase == Phase.STOP):
+            return "stopping"
+        if self.phase in STARTING and (first_ns is None or not self.phase):
+            return "starting"
+        return "standing" if first_ns is None or now_ns < first_ns else "playing"
 
 
 class Fetch(Struct, frozen=True):
@@ -121,6 +163,56 @@ class StopPlayer(Struct, frozen=True):
 Action = Fetch | Verify | Arm | Follow | StopPlayer
 
 
+class Deed(StrEnum):
+    """What is done in a place of the table."""
+
+    STOP = "stop"
+    PREPARE = "prepare"
+    ARM = "prepare, then arm"
+    FOLLOW = "follow"
+    FREEWHEEL = "freewheel"
+
+
+_STOP: Final[Mapping[Does, FigureState | Deed]] = {
+    "starting": Deed.STOP,
+    "standing": Deed.STOP,
+    "playing": Deed.STOP,
+    "stopping": "stopping",
+}
+
+
+def _without_player(found: FigureState | Deed) -> Mapping[Does, FigureState | Deed]:
+    return {"none": found, "ended": found, "failed": found}
+
+
+TABLE: Final[Mapping[Wants, Mapping[Does, FigureState | Deed]]] = {
+    "unknown": {**_without_player("alone"), **_STOP},
+    "lost": {**_without_player("alone"), **_STOP, "playing": Deed.FREEWHEEL},
+    "nothing": {**_without_player("idle"), **_STOP},
+    "stopped": {**_without_player("stopped"), **_STOP},
+    "ready": {**_without_player(Deed.PREPARE), **_STOP},
+    "armed": {**_without_player(Deed.ARM), **_STOP},
+    "the run": {
+        "none": "stopped",
+        "starting": "arming",
+        "standing": Deed.FOLLOW,
+        "playing": Deed.FOLLOW,
+        "stopping": "stopping",
+        "ended": "ended",
+        "failed": "stopped",
+    },
+}
+"""The state, or what is done, by what is wanted and what the player does."""
+WHY_STOPPED: Final[Mapping[Wants, str]] = {
+    "unknown": "there is no conductor",
+    "lost": "the conductor is lost before the start",
+    "nothing": "the conductor stopped all",
+    "stopped": "the conductor stopped all",
+    "ready": "the conductor ended the run",
+    "armed": "the conductor ended the run",
+}
+
+
 @dataclass
 class Figure:
     """The state of one figure. `robot` is the hash of its own robot (`plans.robot_hash`)."""
@@ -133,7 +225,7 @@ class Figure:
     state: FigureState = field(default="alone", init=False)
     text: str = field(default="", init=False)
     epoch: int = field(default=0, init=False)
-    player: PlayerView = field(default_factory=PlayerView, init=False)
+    player: PlayerReport = field(default_factory=PlayerReport, init=False)
     beat: Beat | None = field(default=None, init=False)
     """The last one of the conductor that is followed."""
     clock: ClockEstimate | None = field(default=None, init=False)
@@ -161,7 +253,10 @@ class Figure:
         self._is_stopped = False
         self._why = ""
         """Why it stopped by itself."""
-        self._is_held = False
+        self._first_ns: int | None = None
+        """When the first leg begins that the player was given, in its run."""
+        self._told_ns: int | None = None
+        """When the last beat arrived whose leg the player was given."""
         self._begun_ns: int | None = None
         self._is_silent = False
         """Whether it was told that no conductor is there."""
@@ -191,7 +286,7 @@ class Figure:
         self.beat, self._received_ns = beat, now_ns
         is_other = bound is None or is_new or beat.run != bound.run or beat.cast != bound.cast
         if is_other or beat.wanted == "ready":  # What was stopped is over for all.
-            self._is_stopped = self._is_held = False
+            self._is_stopped = False
             self._why = ""
             self._legs.clear()
         last = self._legs[-1].number if self._legs else 0
@@ -207,6 +302,13 @@ class Figure:
         """
         is_fresh = self._received_ns is not None and now_ns - self._received_ns <= LOST_NS
         return not is_fresh or bound.count < beat.count <= bound.count + COUNTS_AHEAD
+
+    def take_other_protocol(self, protocol: int) -> None:
+        """Refuse a conductor of another version."""
+        self._note_once(
+            f"the conductor has protocol {protocol}, this figure {PROTOCOL}: not followed; install "
+            f"the same version on both"
+        )
 
     def take_stop(self, stop: StopAll) -> None:
         """Stop this run; the same message again changes nothing."""
@@ -256,11 +358,11 @@ class Figure:
         if estimate is not None and estimate.verdict != "unfit":
             self.clock = estimate
 
-    def take_player(self, view: PlayerView) -> None:
-        """Take the state of the own player."""
-        if view.phase == "failed" and self.player.phase != "failed":
-            self._notes.append(f"the player ended: {view.text}")
-        self.player = view
+    def take_player(self, report: PlayerReport) -> None:
+        """Take what the own player reports."""
+        if report.outcome == "failed" and self.player.outcome != "failed":
+            self._notes.append(f"the player ended: {report.text}")
+        self.player = report
 
     # ---- what must be done
 
@@ -295,10 +397,10 @@ class Figure:
 
     def status(self, now_ns: int) -> Status:
         """Return what the conductor is told."""
-        show_s = off_s = None
-        if self.player.phase in ("standing", "playing"):
-            show_s = self.player.show_s
-        if show_s is not None and self.clock is not None and self.player.phase == "playing":
+        does = self.player.does(self._first_ns, now_ns)
+        show_s = self.player.show_s if does in ("standing", "playing") else None
+        off_s = None
+        if show_s is not None and self.clock is not None and does == "playing":
             leg = self._leg_at(self.clock.other_ns(now_ns))
             if leg is not None and leg.rate > 0.0:
                 off_s = show_s - leg.at_s(self.clock.other_ns(now_ns))
@@ -320,7 +422,7 @@ class Figure:
             round_trip_ns=self.round_trip_ns,
             show_s=show_s,
             off_s=off_s,
-            stands=self.player.stands,
+            stands=does == "playing" and self.player.stands,
             hottest_c=self.player.hottest_c,
             late_us=self.player.late_us,
             cause=self.player.cause if self.state == "stopped" else "",
@@ -331,10 +433,6 @@ class Figure:
 
     def _refusal(self, beat: Beat, now_ns: int) -> str:
         """Return why this conductor is not followed; empty: it is."""
-        if beat.protocol != PROTOCOL:
-            return (
-                f"the conductor has protocol {beat.protocol}, this figure {PROTOCOL}: not followed"
-            )
         who = f"conductor {beat.conductor} (epoch {beat.epoch}, {beat.instance})"
         if beat.conductor != self.conductor:
             return f"{who} is refused: the stage file names {self.conductor}"
@@ -359,8 +457,7 @@ class Figure:
         first_ns = self._passed_over_ns.setdefault(beat.instance, now_ns)
         if len(self._passed_over_ns) > NAMED_MAX:
             del self._passed_over_ns[next(iter(self._passed_over_ns))]
-        is_ours = beat.protocol == PROTOCOL and beat.conductor == self.conductor
-        is_ours = is_ours and beat.epoch <= self.epoch
+        is_ours = beat.conductor == self.conductor and beat.epoch <= self.epoch
         return is_ours and self._is_lost(now_ns) and now_ns - first_ns < LOST_NS
 
     def _rebind(self, beat: Beat) -> None:
@@ -373,67 +470,70 @@ class Figure:
     def _is_lost(self, now_ns: int) -> bool:
         return self._received_ns is None or now_ns - self._received_ns > LOST_NS
 
-    def _step(self, now_ns: int, actions: list[Action]) -> FigureState:
-        beat, is_active = self.beat, self.player.phase in ("starting", "standing", "playing")
+    def _wants(self, now_ns: int) -> Wants:
+        """Return what is wanted of this figure: the row of the table."""
+        beat = self.beat
         if beat is None:
-            return "alone"
-        if self._is_stopped or beat.wanted in ("nothing", "stopped"):
-            return self._stop(now_ns, actions, self._why or "the conductor stopped all", beat)
-        if self._is_lost(now_ns):
-            return self._alone(beat, now_ns, actions, is_active=is_active)
-        if beat.wanted == "ready" or (is_active and self._armed_run != (beat.epoch, beat.run)):
-            if is_active or self.player.phase == "stopping":
-                return self._stop(now_ns, actions, "the conductor ended the run", beat)
-            return self._prepare(beat, now_ns, actions)
-        if self._armed_run == (beat.epoch, beat.run):
-            return self._play(beat, now_ns, actions)
-        state = self._prepare(beat, now_ns, actions)
-        if state != "ready" or self._cast is None or self.player.phase == "stopping":
+            return "unknown"
+        if beat.wanted == "nothing":
+            return "nothing"
+        if self._is_stopped or beat.wanted == "stopped":
+            return "stopped"
+        is_in_run = beat.wanted == "armed" and self._armed_run == (beat.epoch, beat.run)
+        if self._is_lost(now_ns) and (is_in_run or not self.player.is_running):
+            return "lost"
+        return "the run" if is_in_run else beat.wanted
+
+    def _step(self, now_ns: int, actions: list[Action]) -> FigureState:
+        """Do what the table says, and return the state."""
+        wants, does = self._wants(now_ns), self.player.does(self._first_ns, now_ns)
+        if does in ("none", "ended", "failed"):
+            self._stopped_ns = None
+        found = TABLE[wants][does]
+        match found:
+            case Deed.STOP:
+                return self._stop(self._why or WHY_STOPPED[wants], now_ns, actions)
+            case Deed.PREPARE:
+                return self._prepare(now_ns, actions)
+            case Deed.ARM:
+                return self._arm(now_ns, actions)
+            case Deed.FOLLOW:
+                return self._follow(does, now_ns, actions)
+            case Deed.FREEWHEEL:
+                return self._freewheel(now_ns)
+        if wants == "the run" and found == "stopped":
+            self.text = self.player.text or "the player ended"
+        return found
+
+    def _stop(self, why: str, now_ns: int, actions: list[Action]) -> FigureState:
+        if self._stopped_ns is None:
+            self._notes.append(f"stops: {why}")
+        if self._stopped_ns is None or now_ns - self._stopped_ns >= STOP_AGAIN_NS:
+            self._stopped_ns = now_ns
+            actions.append(StopPlayer())
+        return "stopping"
+
+    def _arm(self, now_ns: int, actions: list[Action]) -> FigureState:
+        state, beat = self._prepare(now_ns, actions), self.beat
+        if state != "ready" or self._cast is None or beat is None:
             return state
-        self._armed_run, self._followed, self._is_held = (beat.epoch, beat.run), None, False
-        self._stopped_ns = None
+        self._armed_run = (beat.epoch, beat.run)
+        self._followed = self._stopped_ns = self._first_ns = None
         actions.append(Arm(self._cast.parts[self.name].plan, self._join_s(now_ns)))
         return "arming"
 
-    def _alone(
-        self, beat: Beat, now_ns: int, actions: list[Action], *, is_active: bool
-    ) -> FigureState:
-        """Keep the last leg for the freewheel, then brake and hold."""
-        if not is_active:
-            return "alone"
-        if self.player.phase != "playing":
-            return self._stop(now_ns, actions, "the conductor is lost before the start", beat)
-        if self._received_ns is None:
-            self._received_ns = now_ns - LOST_NS - 1
-        if now_ns - self._received_ns <= LOST_NS + ns_from_s(beat.freewheel_s):
-            self._follow(now_ns, actions)
-            return "freewheeling"
-        if not self._is_held and self.player.show_s is not None:
-            self._is_held = True
-            self._notes.append(
-                f"the conductor is lost for {(now_ns - self._received_ns) / NS_PER_S:.1f} s: "
-                f"brakes and holds"
-            )
-        if self._is_held:
-            self._pass_on(Follow(now_ns, self.player.show_s or 0.0, 0.0), 0, now_ns, actions)
-        return "holding"
+    def _freewheel(self, now_ns: int) -> FigureState:
+        """Leave the player to its last leg: it goes on for the freewheel, then brakes and holds."""
+        is_held = self.player.stands and bool(self._legs) and self._legs[-1].rate > 0.0
+        if is_held and self.state != "holding":
+            lost_s = (now_ns - (self._told_ns or now_ns)) / NS_PER_S
+            self._notes.append(f"the conductor is lost for {lost_s:.1f} s: the robot holds")
+        return "holding" if is_held else "freewheeling"
 
-    def _stop(self, now_ns: int, actions: list[Action], why: str, beat: Beat) -> FigureState:
-        if self.player.phase in ("starting", "standing", "playing"):
-            if self._stopped_ns is None:
-                self._notes.append(f"stops: {why}")
-            if self._stopped_ns is None or now_ns - self._stopped_ns >= STOP_AGAIN_NS:
-                self._stopped_ns = now_ns
-                actions.append(StopPlayer())
-            return "stopping"
-        if self.player.phase == "stopping":
-            return "stopping"
-        self._stopped_ns = None
-        return "idle" if beat.wanted == "nothing" else "stopped"
-
-    def _prepare(self, beat: Beat, now_ns: int, actions: list[Action]) -> FigureState:
+    def _prepare(self, now_ns: int, actions: list[Action]) -> FigureState:
         """Fetch cast and plan, verify it, wait for the clock; return how far that is."""
-        if beat.cast is None:
+        beat = self.beat
+        if beat is None or beat.cast is None:
             return "idle"
         if self._cast is None or self._cast_hash != beat.cast:
             if beat.cast not in self._casts:
@@ -493,26 +593,13 @@ class Figure:
             self._asked_verify.add(plan)
             actions.append(Verify(plan))
 
-    def _play(self, beat: Beat, now_ns: int, actions: list[Action]) -> FigureState:
-        match self.player.phase:
-            case "ended":
-                return "ended"
-            case "failed" | "none":
-                self.text = self.player.text or "the player ended"
-                return "stopped"
-            case "stopping":
-                return "stopping"
-            case "starting":
-                return "arming"
-        if self._is_held:
-            self._is_held = False
-            self._followed = None
+    def _follow(self, does: Does, now_ns: int, actions: list[Action]) -> FigureState:
         if self._is_left_behind(now_ns):
             self._is_stopped = True
             self._why = self.text = "the show has ended without this figure"
-            return self._stop(now_ns, actions, self._why, beat)
-        self._follow(now_ns, actions)
-        return "playing" if self.player.phase == "playing" else "armed"
+            return self._stop(self._why, now_ns, actions)
+        self._lead(now_ns, actions, is_waiting=does == "standing")
+        return "playing" if does == "playing" else "armed"
 
     def _is_left_behind(self, now_ns: int) -> bool:
         """Return whether the show is over for all that follow it, and this player holds."""
@@ -522,22 +609,30 @@ class Figure:
         leg = self._leg_at(conductor_ns)
         return leg is not None and leg.at_s(conductor_ns) > self._cast.duration_s + OVER_S
 
-    def _follow(self, now_ns: int, actions: list[Action]) -> None:
+    def _lead(self, now_ns: int, actions: list[Action], *, is_waiting: bool) -> None:
         """Tell the player the leg that is in force, or the one that soon will be."""
         clock = self.clock
         if clock is None or not self._legs:
             return
         conductor_ns = clock.other_ns(now_ns)
-        is_waiting = self.player.phase == "standing"
         leg = self._leg_at(conductor_ns + (0 if is_waiting else self._ahead_ns(conductor_ns)))
         if leg is None and is_waiting:
             leg = self._legs[0]
-        if leg is None:
+        if leg is None or self._is_told(leg, now_ns):
             return
         # From now on, not from the instant of the leg: until then the clocks have drifted apart.
         at_ns = max(leg.instant_ns, conductor_ns)
         own_ns, rate = clock.own_ns(at_ns), leg.rate * (1.0 + clock.rate_ratio)
-        self._pass_on(Follow(own_ns, leg.at_s(at_ns), rate), leg.number, now_ns, actions)
+        self._followed, self._told_ns = (leg.number, now_ns), self._received_ns
+        if self._first_ns is None and rate > 0.0:
+            self._first_ns = own_ns
+        actions.append(Follow(own_ns, leg.at_s(at_ns), rate))
+
+    def _is_told(self, leg: NetworkLeg, now_ns: int) -> bool:
+        """Return whether the player was told this leg just now, or since the last beat."""
+        if self._followed is None or self._followed[0] != leg.number:
+            return False
+        return now_ns - self._followed[1] < FOLLOW_NS or self._told_ns == self._received_ns
 
     def _ahead_ns(self, conductor_ns: int) -> int:
         """Return how long before its instant the next leg is passed on."""
@@ -546,12 +641,6 @@ class Figure:
             return AHEAD_NS
         coming = self._legs[1]
         return SPEED_AHEAD_NS if coming.rate not in (0.0, present.rate) else AHEAD_NS
-
-    def _pass_on(self, follow: Follow, number: int, now_ns: int, actions: list[Action]) -> None:
-        last = self._followed
-        if last is None or last[0] != number or now_ns - last[1] >= FOLLOW_NS:
-            self._followed = (number, now_ns)
-            actions.append(follow)
 
     def _leg_at(self, conductor_ns: int) -> NetworkLeg | None:
         """Return the leg in force at an instant; older ones are forgotten."""

@@ -26,7 +26,7 @@ from lss_motion.stage.hosts.figure import (
     Fetch,
     Figure,
     Follow,
-    PlayerView,
+    PlayerReport,
     StopPlayer,
     Verify,
 )
@@ -40,6 +40,7 @@ from lss_motion.stage.hosts.messages import (
     Status,
     StopAll,
     hash_of,
+    other_protocol,
     packed,
     parse,
 )
@@ -85,8 +86,8 @@ class PlayerEnd(Protocol):
     def stop(self) -> None:
         """Let it brake, hold and end."""
 
-    def view(self, now_ns: int) -> PlayerView:
-        """Return its state."""
+    def report(self, now_ns: int) -> PlayerReport:
+        """Return what is known of it."""
 
     def close(self) -> None:
         """End it, and wait until it has ended."""
@@ -105,7 +106,6 @@ class Host:
         *,
         version: str,
         others: Others = "hold",
-        freewheel_s: float = 2.0,
         log: Callable[[str], None] = lambda _text: None,
         examine: Callable[[int], Findings] | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
@@ -129,7 +129,6 @@ class Host:
                 epoch=1,
                 instance=self.instance,
                 others=others,
-                freewheel_s=freewheel_s,
             )
         self.cues: deque[tuple[str, Ask]] = deque(maxlen=100)
         """Cues and triggers that figures asked for, each with the figure."""
@@ -252,7 +251,10 @@ class Host:
         elif arrival.what in ("alive", "gone"):
             self._take_token(parts, is_alive=arrival.what == "alive")
         elif key == "beat":
-            self._take_beat(parse(Beat, content), arrival.at_ns)
+            if (protocol := other_protocol(content)) is not None:
+                self.figure.take_other_protocol(protocol)
+            else:
+                self._take_beat(parse(Beat, content), arrival.at_ns)
         elif key == "stop":
             self.figure.take_stop(parse(StopAll, content))
         elif parts[0] == "clock":
@@ -267,7 +269,7 @@ class Host:
         if self.figure.beat is not None and self.figure.beat.instance != self._clock_of:
             self._clock_of = self.figure.beat.instance  # Another process, perhaps computer.
             self.estimator = ClockEstimator()
-        is_free = self.figure.player.phase in ("none", "ended", "failed")
+        is_free = not self.figure.player.is_running
         if self._examine is not None and is_free and beat.examines not in (0, self._examined):
             self._examined, self._found = beat.examines, None
             self.log("examines this computer and its servos")
@@ -281,7 +283,9 @@ class Host:
         self, conductor: Conductor, parts: list[str], content: bytes, at_ns: int
     ) -> None:
         """Take status and wishes; the name in the key is checked by access control."""
-        if parts[2] == "status":
+        if parts[2] == "status" and (protocol := other_protocol(content)) is not None:
+            conductor.take_other_protocol(parts[1], protocol, at_ns)
+        elif parts[2] == "status":
             status = parse(Status, content)
             if status.figure == parts[1]:
                 conductor.take_status(status, at_ns)
@@ -368,7 +372,7 @@ class Host:
             else:
                 figure.take_verified(plan, problem)
         figure.take_clock(self.estimator.estimate(now_ns), self.estimator.round_trip_ns)
-        figure.take_player(self.player.view(now_ns))
+        figure.take_player(self.player.report(now_ns))
         for action in figure.tick(now_ns):
             self._do(action)
         for text in figure.take_notes():

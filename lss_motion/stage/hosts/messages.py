@@ -21,6 +21,7 @@ and however often, the newest is enough. So nothing is acknowledged and nothing 
 from __future__ import annotations
 
 import hashlib
+import json
 from typing import Annotated, Final, Literal, TypeVar
 
 from pydantic import Field, ValidationError
@@ -28,7 +29,7 @@ from pydantic import Field, ValidationError
 from lss_motion.errors import InputError
 from lss_motion.playing.remote.schema import Message
 
-PROTOCOL: Final = 3
+PROTOCOL: Final = 4
 """Conductor and figures must have the same."""
 MESSAGE_MAX_BYTES: Final = 16 * 1024
 """A longer message is none of ours; the longest, a `Status` with its texts, has about 1 kB."""
@@ -90,7 +91,6 @@ class Beat(Message):
     catalogue: Hash | None = None
     """What may be wanted later: figures fetch and verify it before (`Catalogue`)."""
     leg: NetworkLeg | None = None
-    freewheel_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 2.0
     start_s: Annotated[float, Field(ge=0.0, le=1e7)] = 0.0
     """Show time at which the robots stand while they are armed."""
     examines: Annotated[int, Field(ge=0)] = 0
@@ -252,6 +252,15 @@ def parse(kind: type[M], content: bytes, max_bytes: int = MESSAGE_MAX_BYTES) -> 
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
         raise InputError(f"{kind.__name__} {place}: {first['msg']}") from None
+
+
+def other_protocol(content: bytes) -> int | None:
+    """Return the protocol of a `Beat` or `Status` of another version, which `parse` cannot read."""
+    try:
+        protocol = json.loads(content[:MESSAGE_MAX_BYTES])["protocol"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return protocol if isinstance(protocol, int) and protocol != PROTOCOL else None
 
 
 def packed(message: Message) -> bytes:

@@ -24,9 +24,10 @@ from lss_motion.playing.remote.process import begin_process, give_job, packed
 from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.robot.on_fault import Cause
-from lss_motion.stage.hosts.figure import KEPT_PLANS, PlayerView
+from lss_motion.stage.hosts.figure import KEPT_PLANS, PlayerReport
 from lss_motion.stage.hosts.messages import hash_of
 from lss_motion.stage.hosts.plans import read_plan
+from lss_motion.stage.hosts.remote_figures import LOST_NS
 from lss_motion.system.messages import Kind, PipeClosedError
 from lss_motion.system.reactor import wait_for
 from lss_motion.units import s_from_ns
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
     from lss_motion.system.messages import MessagePipe
     from lss_motion.system.process import ChildProcess
 
-BACKSTOP_S: Final = 1.0
-"""Without legs for so much longer than the freewheel, the player holds by itself: its figure tells
-it to hold before that."""
 PLAYER_MODULES: Final = (
     "lss_motion.playing.remote.job",
     "lss_motion.playing.perform",
@@ -49,10 +47,6 @@ PLAYER_MODULES: Final = (
 """What a player imports before it gets its job: 1.5 s of a core here, of which 0.1 s are left."""
 CLOSE_S: Final = 10.0
 """A player that was stopped has ended by then, or it is told to end at once."""
-ENDING: Final = frozenset({Phase.STOP.value, Phase.RESTORE.value, Phase.DONE.value})
-MOVING: Final = frozenset(
-    {Phase.CONNECT.value, Phase.READY.value, Phase.PREPARE.value, Phase.APPROACH.value}
-)
 
 
 class PlayerLink:
@@ -71,26 +65,26 @@ class PlayerLink:
         self._robot, self._options, self._log = robot, options, log
         self._pass_on = pass_on
         self._rule = FollowRule(
-            freewheel_s=freewheel_s + BACKSTOP_S, lost="hold", slowest=SLOW_RATE, goes_to_it=True
+            freewheel_s=s_from_ns(LOST_NS) + freewheel_s,
+            lost="hold",
+            slowest=SLOW_RATE,
+            goes_to_it=True,
         )
+        """From the last beat: a conductor is lost after `LOST_NS`, and then comes the freewheel."""
         self._process: ChildProcess[Any] | None = None
         self._link: MessagePipe | None = None
         self._spare: ChildProcess[Any] | None = None
         """The next player, which waits for its job."""
-        self._view = PlayerView()
-        self._phase = ""
+        self._report = PlayerReport()
         self._show_s: float | None = None
         self._rate, self._shown_ns = 0.0, 0
         """Of the show, when `_show_s` arrived, and when that was."""
-        self._first_ns: int | None = None
         self._cause = ""
-        self._hottest_c: float | None = None
-        self._late_us: int | None = None
         self._number = 0
         self._jobs_lock = threading.Lock()
         self._jobs: dict[str, bytes] = {}
         """The packed jobs of the plans that were prepared last, by their hashes."""
-        self._is_stopped = self._is_closing = False
+        self._is_closing = False
         self._leaving: list[ChildProcess[Any]] = []
         """Processes that end by themselves."""
         self.reports: list[dict[str, Any]] = []
@@ -129,15 +123,13 @@ class PlayerLink:
             self._gone()
         job = self._jobs.get(plan)
         if job is None:
-            self._view = PlayerView("failed", None, "the plan is not prepared", cause="error")
+            self._report = _failed("the plan is not prepared")
             return
         self._process = self._take_spare()
         give_job(self._process, job, options={"start_s": start_s or None})
         self._link = self._process.pipe
-        self._phase, self._show_s, self._first_ns = "", None, None
-        self._cause, self._hottest_c, self._late_us = "", None, None
-        self._is_stopped = False
-        self._view = PlayerView("starting")
+        self._show_s, self._rate, self._cause = None, 0.0, ""
+        self._report = PlayerReport(is_running=True)
 
     def _take_spare(self) -> ChildProcess[Any]:
         """Return the player that waits, or a new one where there is none."""
@@ -149,50 +141,34 @@ class PlayerLink:
 
     def _keep_spare(self) -> None:
         """Start the next player as soon as the present one is about to end."""
-        is_free = self._link is None or self._is_stopped
+        is_free = self._link is None or self._report.is_stopped
         if is_free and self._spare is None and self._jobs and not self._is_closing:
             self._spare = begin_process(modules=PLAYER_MODULES)
 
     def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
         """Tell it where the show is."""
-        if self._first_ns is None and rate > 0.0:
-            self._first_ns = instant_ns
         self._send(m.Follow, instant_ns=instant_ns, show_s=show_s, rate=rate, source="conductor")
 
     def stop(self) -> None:
         """Let it brake, hold and end."""
-        self._is_stopped = True
+        self._report = replace(self._report, is_stopped=True)
         self._send(m.Stop)
 
-    def view(self, now_ns: int) -> PlayerView:
-        """Take what it sent, and return its state."""
+    def report(self, now_ns: int) -> PlayerReport:
+        """Take what it sent, and return what is known of it."""
         self._keep_spare()
-        link = self._link
-        if link is None:
-            return self._view
-        link.flush()
-        try:
-            for kind, content in link.receive():
-                self._take(kind, content)
-        except PipeClosedError:
-            self._gone()
-            return self._view
-        if self._view.phase in ("ended", "failed"):
-            return self._view
+        if self._link is not None:
+            self._link.flush()
+            try:
+                for kind, content in self._link.receive():
+                    self._take(kind, content)
+            except PipeClosedError:
+                self._gone()
         show_s = self._show_s
         if show_s is not None:  # It was there when it was sent.
             show_s += self._rate * s_from_ns(max(now_ns - self._shown_ns, 0))
-        if not self._phase or (self._phase in MOVING and self._first_ns is None):
-            self._view = PlayerView("starting")
-        elif self._phase in ENDING and (self._is_stopped or self._phase == Phase.STOP.value):
-            self._view = PlayerView("stopping", show_s)
-        elif self._first_ns is None or now_ns < self._first_ns:
-            self._view = PlayerView("standing", show_s)
-        else:
-            stands = self._phase == Phase.SHOW.value and self._rate == 0.0
-            self._view = PlayerView("playing", show_s, stands=stands)
-        self._view = replace(self._view, hottest_c=self._hottest_c, late_us=self._late_us)
-        return self._view
+        stands = self._report.phase == Phase.SHOW and self._rate == 0.0
+        return replace(self._report, show_s=show_s, stands=stands)
 
     def _take(self, kind: Kind, content: bytes) -> None:
         self._pass_on(kind, content)
@@ -203,13 +179,13 @@ class PlayerLink:
         elif kind is Kind.EVENT:
             match m.parse_event(content):
                 case m.PhaseChanged() as event:
-                    self._phase = event.phase
+                    self._report = replace(self._report, phase=event.phase)
                 case m.Warned() as event:
                     self._log(f"player: {event.text}")
                 case m.Health() as event:
                     known = [one.temperature_c for one in event.joints.values()]
-                    self._hottest_c = max((c for c in known if c is not None), default=None)
-                    self._late_us = event.late_us
+                    hottest_c = max((c for c in known if c is not None), default=None)
+                    self._report = replace(self._report, hottest_c=hottest_c, late_us=event.late_us)
                 case m.Faulted() as event:
                     self._cause = event.kind
                     self._log(f"player: joint {event.joint!r}: {event.kind}: {event.step}")
@@ -221,23 +197,18 @@ class PlayerLink:
     def _end(self, event: m.Ended) -> None:
         if event.report is not None:
             self.reports.append(event.report)
+        lost = Cause.LOST_PORT.value if event.exit_code == EXIT_UNREACHABLE else "error"
         if event.outcome == "finished":
-            self._view = PlayerView("ended")
+            self._report = PlayerReport(outcome="finished")
         elif event.outcome == "stopped" and event.error is None:
-            self._view = PlayerView("none")
-            self._phase = Phase.DONE.value
+            self._report = PlayerReport()
         else:
-            lost = Cause.LOST_PORT.value if event.exit_code == EXIT_UNREACHABLE else "error"
-            cause = self._cause or lost
-            self._view = PlayerView("failed", None, event.error or event.outcome, cause=cause)
+            self._report = _failed(event.error or event.outcome, self._cause or lost)
 
     def _gone(self) -> None:
         """Forget the process: it has ended."""
-        if self._view.phase not in ("ended", "failed") and self._phase != Phase.DONE.value:
-            text = "its process is gone; the servos come to rest by themselves"
-            self._view = PlayerView("failed", None, text, cause="error")
-        elif self._phase == Phase.DONE.value and self._view.phase not in ("ended", "failed"):
-            self._view = PlayerView("none")
+        if self._report.is_running:
+            self._report = _failed("its process is gone; the servos come to rest by themselves")
         if self._link is not None:
             self._link.close()
         if self._process is not None:
@@ -273,5 +244,9 @@ class PlayerLink:
         end_ns = time.monotonic_ns() + int(CLOSE_S * 1e9)
         while self._link is not None and time.monotonic_ns() < end_ns:
             wait_for([self._link.fileno()], 0.1)
-            self.view(time.monotonic_ns())
+            self.report(time.monotonic_ns())
         return self._link is None
+
+
+def _failed(text: str, cause: str = "error") -> PlayerReport:
+    return PlayerReport(outcome="failed", text=text, cause=cause)

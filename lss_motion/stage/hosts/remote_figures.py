@@ -34,6 +34,8 @@ class RemoteFigure:
     name: str
     status: Status | None = None
     heard_ns: int | None = None
+    other_protocol: int | None = None
+    """That of its last state, if it is not ours."""
     is_alive: bool = False
     """Whether its token is there (`peer`)."""
     problem: str = ""
@@ -80,7 +82,7 @@ class RemoteFigure:
         self.last_words[status.instance] = status.text
         while len(self.last_words) > PROCESSES_MAX:
             del self.last_words[next(iter(self.last_words))]
-        self.status, self.heard_ns = status, now_ns
+        self.status, self.heard_ns, self.other_protocol = status, now_ns, None
 
     def _meet_process(self, instance: str, now_ns: int) -> None:
         """Note that another process serves it. One that was there before: two do at once."""
@@ -119,12 +121,13 @@ class RemoteFigure:
         that its state is about, so it must not have ended.
         """
         status = self.status
+        if self.other_protocol is not None and not self.is_lost(now_ns):
+            other = self.other_protocol
+            return f"it has protocol {other}, the conductor {PROTOCOL}: install the same version"
         if status is None:
             return "it has not connected: is it on, are address and keys right?"
         if self.is_lost(now_ns):
             return "lost: nothing arrives from it"
-        if status.protocol != PROTOCOL:
-            return f"it has protocol {status.protocol}, the conductor {PROTOCOL}: same version?"
         if status.state == "out":
             return f"out: {status.text}"
         if status.bound_ns is not None and status.bound_ns > REFUSE_NS and not has_begun:

@@ -229,7 +229,6 @@ def host_for(
         lambda instance: Peer(settings, clock_id=instance if settings.is_conductor else ""),
         version=__version__,
         others=stage.retry.others,
-        freewheel_s=freewheel_s,
         log=log,
         examine=lambda number: examined(figure, number, robot, examines_port, plans),
     )

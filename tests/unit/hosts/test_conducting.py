@@ -280,7 +280,7 @@ def test_timecode_leads_all_figures_from_their_first_move_through_a_stand_and_a_
     own = begun(tmp_path, LED, lambda world: Desk(world, at))
     own.until(lambda: own.playing("hello"), 30.0)
     hosts = own.world.hosts.values()
-    own.until(lambda: all(host.player.view.phase == "ended" for host in hosts), 60.0)
+    own.until(lambda: all(host.player.does == "ended" for host in hosts), 60.0)
     for host in hosts:
         late = late_ms(host, at)
         true_s, off_ms = late[:, 0], late[:, 1]
@@ -306,7 +306,7 @@ def test_a_pause_and_a_lost_figure_hold_all_whatever_the_timecode_does(tmp_path)
 
     def off_s():
         led_s = at(world.now_ns / NS_PER_S)[0] - BEGIN_S
-        return [host.player.view.show_s - led_s for host in world.hosts.values()]
+        return [host.player.report.show_s - led_s for host in world.hosts.values()]
 
     own.until(lambda: own.playing("hello") and conductor.show_s(world.now_ns) > 2.0, 40.0)
     conductor.pause(world.now_ns)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benches.stage_model import World
+from benches.stage_model import World, reported
 from lss_motion.errors import InputError
 from lss_motion.stage.hosts.conductor import (
     ARM_S,
@@ -14,7 +14,6 @@ from lss_motion.stage.hosts.conductor import (
     READY_S,
     State,
 )
-from lss_motion.stage.hosts.figure import PlayerView
 from lss_motion.stage.hosts.messages import hash_of
 from lss_motion.units import NS_PER_S
 
@@ -31,7 +30,7 @@ SHOW_S = 20.0
 
 def never(_now_ns):
     """A player that does not end, whatever it is told."""
-    return PlayerView("playing", 1.0)
+    return reported("playing", 1.0)
 
 
 def connecting():
@@ -200,18 +199,18 @@ def test_the_ends_of_each_state_that_figures_cause():
     assert world.run(READY_S + 2.0, lambda: world.conductor.state is S)
     assert "f1: out: its robot file differs" in world.told[-1][2]
 
-    for view, is_fault in (
-        (PlayerView("failed", None, "stuck", cause="stuck"), True),
-        (PlayerView("failed", None, "the port is gone"), False),
+    for report, is_fault in (
+        (reported("failed", text="stuck", cause="stuck"), True),
+        (reported("failed", text="the port is gone"), False),
     ):
         world = arming()
-        world.hosts["f1"].player.tick = lambda _, view=view: view
+        world.hosts["f1"].player.tick = lambda _, report=report: report
         world.wait(L, S, seconds=5.0)
         assert world.told[-1][0] == ("faulted" if is_fault else "refused")
-        assert view.text in world.told[-1][2]
+        assert report.text in world.told[-1][2]
 
     world = arming()
-    world.hosts["f1"].player.tick = lambda _: PlayerView("starting")
+    world.hosts["f1"].player.tick = lambda _: reported("starting")
     assert world.run(ARM_S + 1.0, lambda: world.conductor.state is S)
     assert world.told[-1][:2] == ("refused", 1)
 
@@ -220,8 +219,7 @@ def test_the_ends_of_each_state_that_figures_cause():
     assert (world.told[-1], world.conductor.wanted) == (("finished", 1, None), "ready")
 
     world = playing()
-    world.hosts["f1"].player.view = PlayerView("failed", None, "stuck", cause="stuck")
-    world.hosts["f1"].player.tick = lambda _: world.hosts["f1"].player.view
+    world.hosts["f1"].player.becomes("failed", text="stuck", cause="stuck")
     assert world.run(FALLEN_S + 3.0, lambda: world.conductor.state is L)
     assert world.told[-1][0] == "faulted"
     assert world.run(3.0, lambda: world.conductor.state is S)

@@ -1,5 +1,7 @@
 """One computer of a stage, between its network and its player."""
 
+import json
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -39,7 +41,7 @@ class Peer:
 @pytest.fixture
 def conductor(tmp_path):
     (tmp_path / "robot.yaml").write_text(ROBOT)
-    player = SimpleNamespace(stop=lambda: None, view=lambda _: None)
+    player = SimpleNamespace(stop=lambda: None, report=lambda _: None)
     peer = Peer()
     settings = NetworkSettings(
         stage="hall", figure="left", conductor="left", figures=FIGURES, address="127.0.0.1:7447"
@@ -47,7 +49,7 @@ def conductor(tmp_path):
     robot = load_robot(tmp_path / "robot.yaml")
     store = SimpleNamespace(get=lambda _: None)
     host = Host(settings, robot, player, store, lambda _: peer, version="test")
-    host.player.view = lambda _: host.figure.player
+    host.player.report = lambda _: host.figure.player
     return host, peer
 
 
@@ -66,3 +68,18 @@ def test_a_wish_that_is_repeated_counts_once_and_a_forged_number_silences_nobody
     assert asked(host, peer, "right", number=2) == 3
     assert asked(host, peer, "right", number=1) == 3
     assert asked(host, peer, "nobody", number=5) == 3
+
+
+def test_a_computer_of_another_version_is_named_whatever_its_messages_have(conductor):
+    host, peer = conductor
+    beat = {**json.loads(packed(host.conductor.beat())), "protocol": 9, "moon": "full"}
+    status = {**json.loads(packed(host.figure.status(0))), "protocol": 2, "figure": "right"}
+    del status["leg"]
+    for key, message in (("beat", beat), ("figure/right/status", status), ("beat", [1, 2])):
+        now_ns = time.monotonic_ns()
+        peer.arrivals.append(Arrival("message", key, json.dumps(message).encode(), now_ns))
+        host.turn()
+    told = " ".join(host.figure._refused)
+    assert "the conductor has protocol 9, this figure" in told
+    problems = host.conductor.problems(time.monotonic_ns())
+    assert any(one.startswith("right: it has protocol 2, the conductor") for one in problems)

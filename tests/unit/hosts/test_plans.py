@@ -151,7 +151,7 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
     name = made.cast.parts["left"].plan
     link = PlayerLink(robots["left"])
     link.arm(name, 0.0)
-    assert (link.view(0).phase, link.view(0).text) == ("failed", "the plan is not prepared")
+    assert (link.report(0).outcome, link.report(0).text) == ("failed", "the plan is not prepared")
     assert link.prepare(b"\xff").startswith("the plan is no text")
     assert link.prepare(made.contents[name]) == ""
     begun, given = [], []
@@ -169,21 +169,21 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
         f"{module}.give_job", lambda one, job, **changes: given.append((one, job, changes))
     )
     monkeypatch.setattr(f"{module}.read_plan", None)  # Not in the host's turn.
-    link.view(0)
+    link.report(0)
     assert (len(begun), given) == (1, [])  # It waits for its job.
     link.arm(name, 4.0)
     ((process, job, changes),) = given
     assert process.pipe is begun[0][0]
     assert len(pickle.loads(job).program.moves) > 20
     assert changes == {"options": {"start_s": 4.0}}
-    link.view(0)
+    link.report(0)
     assert len(begun) == 1  # None while a player moves servos.
     link.stop()
-    link.view(0)
+    link.report(0)
     assert len(begun) == 2
     begun[0][1].close()  # It has ended.
-    link.view(0)
-    link.view(0)
+    link.report(0)
+    link.report(0)
     assert len(begun) == 2
     link.close()
     assert begun[1][0].fileno() == -1  # By which the one that waits ends, too.

@@ -4,10 +4,10 @@ import statistics
 
 import pytest
 
-from benches.stage_model import LOOPBACK, WIFI, World
+from benches.stage_model import LOOPBACK, WIFI, World, reported
 from lss_motion.errors import InputError
 from lss_motion.stage.hosts.conductor import READY_S, State
-from lss_motion.stage.hosts.figure import Fetch, PlayerView, Verify
+from lss_motion.stage.hosts.figure import Fetch, Verify
 from lss_motion.stage.hosts.legs import LEAD_NS
 from lss_motion.stage.hosts.messages import Beat, hash_of
 from lss_motion.units import NS_PER_MS, NS_PER_S
@@ -37,11 +37,11 @@ def test_a_leg_takes_effect_a_second_ahead_for_all():
     assert conductor.legs.newest.instant_ns >= before_ns + LEAD_NS
     place_s = conductor.legs.newest.show_s
     world.run(2.0)
-    shown = [host.player.view.show_s for host in world.hosts.values()]
+    shown = [host.player.report.show_s for host in world.hosts.values()]
     assert shown == pytest.approx([place_s] * 4, abs=1e-9)
     conductor.pause(world.now_ns, is_paused=False)
     world.run(2.0)
-    shown = [host.player.view.show_s for host in world.hosts.values()]
+    shown = [host.player.report.show_s for host in world.hosts.values()]
     assert statistics.mean(shown) == pytest.approx(conductor.show_s(world.now_ns), abs=0.02)
     assert max(shown) - min(shown) <= 0.02  # They are seen at the ticks of the model.
 
@@ -52,7 +52,7 @@ def test_another_speed_is_one_that_figures_follow_and_lasts_until_the_next_start
     for asked, rate in ((0.5, 0.5), (0.07, 0.2), (0.9, 0.85), (0.93, 1.0), (0.33, 0.35)):
         assert conductor.set_rate(asked, world.now_ns) == rate
         world.run(2.5)
-        shown = [host.player.view.show_s for host in world.hosts.values()]
+        shown = [host.player.report.show_s for host in world.hosts.values()]
         assert conductor.legs.newest.rate == rate
         assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
     conductor.pause(world.now_ns)
@@ -95,7 +95,7 @@ def test_a_sought_place_is_played_from_when_all_robots_stand_there(is_paused):
         world.run(0.5)
         conductor.pause(world.now_ns)
     assert not world.run(3.5, lambda: conductor.legs.newest.rate > 0.0)
-    assert {host.player.view.show_s for host in world.hosts.values()} == {40.0}
+    assert {host.player.report.show_s for host in world.hosts.values()} == {40.0}
     if is_paused:
         assert not world.run(3.0, lambda: conductor.legs.newest.rate > 0.0)
         conductor.pause(world.now_ns, is_paused=False)
@@ -103,7 +103,7 @@ def test_a_sought_place_is_played_from_when_all_robots_stand_there(is_paused):
     assert conductor.legs.newest.show_s == 40.0
     assert conductor.legs.newest.instant_ns >= world.now_ns + LEAD_NS - NS_PER_S // 10
     world.run(3.0)
-    shown = [host.player.view.show_s for host in world.hosts.values()]
+    shown = [host.player.report.show_s for host in world.hosts.values()]
     assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
     for host in world.hosts.values():  # A robot that stands begins half of its ramp before.
         early_ns = [one.instant_ns - at for at, one in host.player.follows if one.show_s == 40.0
@@ -125,7 +125,7 @@ def test_pause_and_resume_within_a_second_lose_nothing():
     world.run(0.2)
     conductor.pause(world.now_ns, is_paused=False)
     world.run(3.0)
-    shown = [host.player.view.show_s for host in world.hosts.values()]
+    shown = [host.player.report.show_s for host in world.hosts.values()]
     assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
 
 
@@ -159,10 +159,10 @@ def test_after_a_stop_the_same_show_can_be_played_again():
 def test_a_figure_that_the_show_left_behind_is_ready_for_the_next_one():
     world = playing(show_s=8.0, others="go_on")
     host = world.hosts["f2"]
-    host.player.view = PlayerView("playing", 1.0)  # It holds somewhere, and never ends.
-    host.player.tick = lambda _: host.player.view
+    host.player.becomes("playing", 1.0)  # It holds somewhere, and never ends.
+    host.player.tick = lambda _: host.player.report
     assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
-    host.player.view = PlayerView("none")
+    host.player.becomes("none")
     world.wait(State.STANDING)
     assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
 
@@ -172,13 +172,14 @@ def test_without_the_conductor_a_figure_freewheels_then_holds():
     world.is_conducting = False
     world.run(1.5)
     assert world.states() == {"freewheeling"}
-    before = [host.player.view.show_s for host in world.hosts.values()]
+    before = [host.player.report.show_s for host in world.hosts.values()]
     world.run(0.5)
-    after = [host.player.view.show_s for host in world.hosts.values()]
+    after = [host.player.report.show_s for host in world.hosts.values()]
     assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([0.5] * 4, abs=0.02)
     world.run(2.0)
     assert world.states() == {"holding"}
-    assert all(host.player.follows[-1][1].rate == 0.0 for host in world.hosts.values())
+    assert all(host.player.report.stands for host in world.hosts.values())
+    assert "the conductor is lost for 3." in " ".join(world.hosts["f1"].log)
     world.is_conducting = True
     assert world.run(5.0, lambda: world.states() == {"playing"})
 
@@ -207,7 +208,7 @@ def test_a_host_that_starts_again_rejoins():
     assert world.run(30.0, lambda: world.states() == {"playing"}), host.log
     world.run(2.0)
     assert world.conductor.legs.newest.rate == 1.0
-    shown = [one.player.view.show_s for one in world.hosts.values()]
+    shown = [one.player.report.show_s for one in world.hosts.values()]
     assert max(shown) - min(shown) <= 0.02
     assert "f3 has started again" in " ".join(world.notes)
 
@@ -253,7 +254,7 @@ def test_a_figure_whose_conductor_is_not_there_says_so_once():
 def test_why_a_figure_stops_is_told_once():
     world = playing()
     host = world.hosts["f1"]
-    host.player.tick = lambda _now_ns: PlayerView("playing", 3.0)  # It takes long to stop.
+    host.player.tick = lambda _now_ns: reported("playing", 3.0)  # It takes long to stop.
     world.conductor.stop(world.now_ns)
     world.run(4.0)
     assert sum("stops: the conductor stopped all" in text for text in host.log) == 1, host.log
@@ -263,11 +264,12 @@ def test_why_a_figure_stops_is_told_again_after_a_show_that_left_it_behind():
     world = playing(show_s=8.0, others="go_on")
     host = world.hosts["f2"]
     tick = host.player.tick
-    host.player.tick = lambda _: PlayerView("playing", 1.0)  # It holds somewhere, and never ends.
+    host.player.tick = lambda _: reported("playing", 1.0)  # It holds somewhere, and never ends.
     assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
     world.wait(State.STANDING)
     world.run(0.5)  # It is ready in the turn in which its player has ended.
-    host.player.tick, host.player.view = tick, PlayerView("none")
+    host.player.tick = tick
+    host.player.becomes("none")
     assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
     world.go()
     world.run(3.0)
@@ -280,7 +282,7 @@ def test_why_a_figure_stops_is_told_again_after_a_show_that_left_it_behind():
 def test_a_figure_that_fell_is_not_raised_again_in_the_same_run():
     world = playing(others="go_on", show_s=60.0)
     host = world.hosts["f1"]
-    host.player.view = type(host.player.view)("failed", None, "joint 'jaw' is stuck")
+    host.player.becomes("failed", text="joint 'jaw' is stuck")
     world.run(10.0)
     assert host.figure.state == "stopped"
     assert host.player.starts == 1
@@ -290,7 +292,7 @@ def test_a_figure_that_fell_is_not_raised_again_in_the_same_run():
 def test_a_figure_that_holds_beyond_the_end_gives_up():
     world = playing(show_s=8.0)
     host = world.hosts["f1"]
-    host.player.tick = lambda _now_ns: host.player.view  # It holds, and does not end.
+    host.player.tick = lambda _now_ns: host.player.report  # It holds, and does not end.
     assert world.run(20.0, lambda: host.player.stops > 0)
     assert world.conductor.show_s(world.now_ns) > 8.0 + 2.0
     assert host.figure.text == "the show has ended without this figure"
@@ -381,7 +383,7 @@ def test_one_forged_beat_does_not_deafen_a_figure(changes):
     conductor.pause(world.now_ns)
     world.run(2.0)
     assert host.figure.beat.leg == conductor.legs.newest
-    assert host.player.view.show_s == pytest.approx(conductor.legs.newest.show_s, abs=1e-9)
+    assert host.player.report.show_s == pytest.approx(conductor.legs.newest.show_s, abs=1e-9)
     conductor.stop(world.now_ns)
     assert world.run(2.0, lambda: host.figure.state == "stopped"), host.log
 
@@ -437,7 +439,6 @@ def test_second_and_stale_conductors_are_refused():
         (forged(world, instance=other, **stopped), "a second one with the epoch of the first"),
         (forged(world, instance=other, epoch=9, **stopped), "the first one .* still conducts"),
         (forged(world, conductor="f3", **stopped), "the stage file names f0"),
-        (forged(world, protocol=9, **stopped), "has protocol 9"),
     ):
         figure.take_beat(beat, host.now_ns())
         world.run(0.5)
@@ -505,7 +506,7 @@ def test_a_conductor_that_comes_back_from_the_past_conducts_no_more():
     assert "it is stale" in " ".join(world.hosts["f1"].log)
     with pytest.raises(InputError, match="conducts no more"):
         world.conductor.seek(3.0, world.now_ns)
-    assert {host.player.view.phase for host in world.hosts.values()} <= {"none", "stopping"}
+    assert {host.player.does for host in world.hosts.values()} <= {"none", "stopping"}
 
 
 def test_a_clock_that_jumps_in_the_show_is_followed():
