@@ -1,8 +1,8 @@
 """Measures what the package promises, each figure next to a peer or a limit in the same run.
 
 tools/run tools/bench.py                 everything, in fifteen minutes on two quiet cores
-tools/run tools/bench.py codec plan      some of it, the long way where there is one
-tools/run tools/bench.py scaling --full  shows of up to an hour
+tools/run tools/bench.py late plan       some of it, the long way where there is one
+tools/run tools/bench.py network --full  an hour of it, too
 tools/run tools/bench.py all --json F    also as JSON
 tools/run tools/bench.py all --readme    and into tools/FIGURES.md and README.md
 tools/run tools/bench.py play --readme   into these, too; the other figures stay as they were
@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "codec", "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line",
-    "late", "identify", "gait", "scaling", "capacity", "play", "sound", "voice", "studio", "pages",
-    "network", "trigger", "sync", "start",
+    "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line", "late",
+    "identify", "capacity", "play", "sound", "network", "sync", "start",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 
