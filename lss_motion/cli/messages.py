@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import re
-import select
 import sys
 from collections import deque
 from typing import TYPE_CHECKING, Final, TextIO
@@ -20,6 +19,7 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
+from lss_motion.system.reactor import wait_for
 from lss_motion.system.signals import exit_code, redirect_to_null
 
 if TYPE_CHECKING:
@@ -123,6 +123,6 @@ class Printer:
 def _has_room(stream: TextIO) -> bool:
     """Return whether a line can be written without waiting; a writable pipe takes 4096 bytes."""
     try:
-        return bool(select.select([], [stream.fileno()], [], 0.0)[1])
+        return bool(wait_for((), 0.0, writable=[stream.fileno()]))
     except (OSError, ValueError):  # Windows waits for sockets only.
         return True

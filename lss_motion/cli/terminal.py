@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import socket
 import sys
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from lss_motion.playing.player.events import PlayerRequest
 from lss_motion.playing.sound_choice import OFFSET_STEP_S
+from lss_motion.system.reactor import wait_for
 from lss_motion.system.signals import ENDING
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class Inputs:
             raise KeyboardInterrupt
 
     def _keys(self) -> str:
-        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0.0)[0]:
+        if self._keys_fd is None or not wait_for([self._keys_fd], 0.0):
             return ""
         with contextlib.suppress(OSError):
             if keys := os.read(self._keys_fd, 32):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import sys
 import threading
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.sim.bus import bus_from_robot
+from lss_motion.system.reactor import wait_for
 from lss_motion.system.real_time import prompt_waits
 from lss_motion.system.signals import ENDING
 from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
@@ -258,7 +258,7 @@ def _turn(ports: list[Port], alarm_fd: int) -> None:
     now_ns = time.monotonic_ns()
     open_ports = {port.master_fd: port for port in ports if port.is_open_to_host(now_ns)}
     wait_ns = min(port.wakeup_ns(now_ns) for port in ports) - now_ns
-    readable, _, _ = select.select([alarm_fd, *open_ports], [], [], max(wait_ns, 0) / NS_PER_S)
+    readable = wait_for([alarm_fd, *open_ports], max(wait_ns, 0) / NS_PER_S)
     now_ns = time.monotonic_ns()
     for port in ports:
         if port.master_fd in readable:

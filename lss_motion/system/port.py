@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
 import sys
 import time
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from msgspec import Struct
 
 from lss_motion.errors import BlockedPortError, BusError, LostPortError
+from lss_motion.system.reactor import wait_for
 from lss_motion.units import NS_PER_MS, NS_PER_S, line_time_ns, s_from_ns
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ class SerialPort:
         unsent_bytes = self._outbox.unsent_bytes()
         while unsent_bytes:
             self.write(b"")  # The time counts from now, if not from earlier.
-            select.select([], [], [], s_from_ns(POLL_NS))
+            wait_for((), s_from_ns(POLL_NS))
             unsent_bytes = self._outbox.unsent_bytes()
         with contextlib.suppress(Exception):
             self._serial.flush()

@@ -16,14 +16,12 @@ import importlib
 import math
 import select
 import signal
-import socket
 import sys
 import time
 from typing import TYPE_CHECKING, TypeVar
 
-from lss_motion.system.messages import MessagePipe
-
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable, Collection
     from types import FrameType
 
@@ -65,6 +63,8 @@ def begin() -> None:
     The arguments are the module, the file number of this end of the pipe, and words for
     `main(pipe, *words)` of the module, whose result is the exit code.
     """
+    from lss_motion.system.messages import MessagePipe  # programs without helpers do without
+
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _do_nothing)
@@ -75,6 +75,8 @@ def begin() -> None:
 
 def _own_end(fileno: str) -> socket.socket:
     """Return this end of the pipe. On Windows, standard input describes it."""
+    import socket
+
     if sys.platform == "win32":
         return socket.fromshare(sys.stdin.buffer.read())
     end = socket.socket(fileno=int(fileno))
