@@ -94,7 +94,7 @@ def test_a_killed_player_is_an_error_not_a_hang(on_terminal, servo, show):
     with on_terminal(servo(1)):
         handle = lss.start(*show())
         wait_for(handle, "playing")
-        handle._process.kill()
+        os.kill(handle._process.pid, signal.SIGKILL)
         with pytest.raises(lss.BusError, match="without a report"):
             handle.wait(WAIT_S)
         handle.stop()
