@@ -145,6 +145,7 @@ class CarefulRun(JointRun):
         if self.state is State.PREPARE and self._witness:
             query = Command(joint.servo_id, self._witness)
             then.append(Item(bus=joint.bus, command=query, is_query=True, tries=WITNESS_TRIES))
+        self._probes = handshake.probes([joint], self._answers, known)
         lines, trackers = {joint.bus: self._line}, {joint.bus: self._poller.tracker}
         return SettingsDialogue(known, then, unknown, lines, trackers)
 
@@ -163,7 +164,9 @@ class CarefulRun(JointRun):
             self.error = self._fault(cause)
         if self.error is not None:
             self._brake(now_ns)
-        elif self.state is State.PREPARE:
+            return
+        self._poller.watch(self._probes)
+        if self.state is State.PREPARE:
             self._hold(dialogue.answers, now_ns)
         else:
             self._start(now_ns)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -20,14 +20,18 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.player import checks, handshake
 from lss_motion.playing.player.events import Event, Faulted, Phase, PhaseEntered, Warned
+from lss_motion.playing.player.handshake import SettingsDialogue
+from lss_motion.playing.player.health import STATUS_TEXTS, turn_text
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import health_words
 from lss_motion.playing.player.query_tracker import QueryTracker
 from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.settings_watch import Probe, SettingsWatch
 from lss_motion.playing.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command, encode
+from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.units import MS_PER_S, NS_PER_MS, NS_PER_S
 
@@ -66,11 +70,39 @@ class ServoHealth:
     current_a: float | None = None
 
 
+@dataclass(slots=True)
+class _Hand:
+    """What the poller knows of one joint besides its angle and its health."""
+
+    joint: Joint
+    words: tuple[str, ...] = ()
+    """The queries that come before each move: whether its servo has restarted."""
+    left: list[str] = field(default_factory=list)
+    """Those of them that are to be answered before `move` leaves."""
+    move: Command | None = None
+    """The move that waits for them, or for its place on the line."""
+    powered_ns: int | None = None
+    """When its servo received the last move or `H`; None: it is limp, or was not touched."""
+    is_limp: bool = False
+    """Whether its last status was that of a limp servo although it has power."""
+    is_turned: bool = False
+    """Whether the last reading was in another turn than the one before."""
+    is_barred: bool = False
+    """Whether it is in another turn, so that it gets no move."""
+
+    def hold_back(self) -> None:
+        """Send no move before all queries are answered once more."""
+        self.left = list(self.words)
+
+
 class Poller:
     """Sends commands before queries, and as many queries at once as can be told apart.
 
     The latest angles are in `readings`; `take()` returns those since the last call. With
     `has_health`, temperature, voltage and current are asked for, too.
+
+    A move leaves when its servo has just answered that it still has its settings (`watch`): a
+    servo that restarts is limp, moves with its stored limits, and may be in another turn.
     """
 
     def __init__(
@@ -88,8 +120,11 @@ class Poller:
         self._lines = lines
         self._trackers = trackers
         self._fresh: list[Reading] = []
-        self._owners = {(joint.bus, joint.servo_id): joint for joint in joints}
-        owners = self._owners.values()
+        self._hands = {(joint.bus, joint.servo_id): _Hand(joint) for joint in joints}
+        self._watch = SettingsWatch({})
+        self.restarted: dict[str, str] = {}
+        """By joint, the fault of a servo that has lost its settings since they were set."""
+        owners = [hand.joint for hand in self._hands.values()]
         self.health = {joint.name: ServoHealth() for joint in owners}
         self._turns = {bus: deque((j, "QD") for j in owners if j.bus == bus) for bus in lines}
         self._status_turns = {
@@ -105,17 +140,29 @@ class Poller:
         self.firmware: dict[str, int | None] = {}
         """What the servos of the joints answered to QF; the codes of a status depend on it."""
 
+    def watch(self, probes: Mapping[str, Sequence[Probe]]) -> None:
+        """Query one of these, by joint, before each move; its servo must answer as it was set."""
+        self._watch = SettingsWatch(probes)
+        for hand in self._hands.values():
+            turn = () if hand.joint.turns is None else ("QD",)
+            hand.words = (*self._watch.keywords(hand.joint.name)[:1], *turn)
+
     def order(self, joint: Joint, command: Command) -> None:
-        """Send a command before the next query; a move takes the place of one that waits."""
-        orders = self._orders[joint.bus]
-        if command.keyword == "D":
-            waiting = [o for o in orders if (o.servo_id, o.keyword) != (command.servo_id, "D")]
-            orders = self._orders[joint.bus] = deque(waiting)
-        orders.append(command)
+        """Send a command before the next query; a move takes the place of one that waits.
+
+        `L` and `H` end a move that waits. A joint in another turn gets no move.
+        """
+        hand = self._hands[joint.bus, joint.servo_id]
+        if command.keyword != "D":
+            hand.move = None if command.keyword in ("L", "H") else hand.move
+            self._orders[joint.bus].append(command)
+        elif not hand.is_barred:
+            hand.move = command
+            hand.hold_back()
 
     @property
     def has_orders(self) -> bool:
-        return any(self._orders.values())
+        return any(self._orders.values()) or any(hand.move for hand in self._hands.values())
 
     def take(self) -> list[Reading]:
         fresh, self._fresh = self._fresh, []
@@ -125,23 +172,54 @@ class Poller:
         """Send what can be sent now."""
         for bus, line in self._lines.items():
             self._trackers[bus].expire(now_ns)
-            while self._orders[bus] and line.free_ns <= now_ns:
-                line.send(encode(self._orders[bus].popleft()), now_ns)
+            while line.free_ns <= now_ns and (command := self._next_order(bus)) is not None:
+                self._note_order(bus, command, line.send(encode(command), now_ns))
             while self._ask(bus, now_ns):
                 pass
 
+    def _next_order(self, bus: str) -> Command | None:
+        """Return the command that may leave now, and let it wait no more."""
+        if self._orders[bus]:
+            return self._orders[bus].popleft()
+        for (own_bus, _), hand in self._hands.items():
+            if own_bus == bus and hand.move is not None and not hand.left:
+                move, hand.move = hand.move, None
+                return move
+        return None
+
+    def _note_order(self, bus: str, command: Command, arrival_ns: int) -> None:
+        hand = self._hands[bus, command.servo_id]
+        if command.keyword in ("D", "H"):
+            hand.powered_ns = arrival_ns
+            self._reported.discard(f"{hand.joint.name} {STATUS_TEXTS[Cause.RESTARTED]}")
+        elif command.keyword == "L":
+            hand.powered_ns = None
+
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
         for asked, answer in self._trackers[bus].receive(reply, now_ns):
-            joint = self._owners[bus, asked.command.servo_id]
-            if asked.command.keyword == "Q":
-                self._notice_status(joint, answer)
-                continue
-            statement = read_reply(joint.model.language, answer)
-            if statement is not None and isinstance(statement.value, int | float):
-                self._take(joint, asked.command.keyword, asked.arrival_ns, float(statement.value))
+            hand = self._hands[bus, asked.command.servo_id]
+            keyword = asked.command.keyword
+            if keyword == "Q":
+                self._notice_status(hand, answer, asked.arrival_ns)
+            elif keyword in self._watch.keywords(hand.joint.name):
+                self._take_probe(hand, answer)
+            else:
+                statement = read_reply(hand.joint.model.language, answer)
+                if statement is not None and isinstance(statement.value, int | float):
+                    self._take(hand, keyword, asked.arrival_ns, float(statement.value))
 
-    def _take(self, joint: Joint, keyword: str, at_ns: int, value: float) -> None:
-        health = self.health[joint.name]
+    def _take_probe(self, hand: _Hand, answer: Reply) -> None:
+        """Let a move pass, or note that the servo has restarted."""
+        value = answer.value if isinstance(answer.value, int) else None
+        name = hand.joint.name
+        if (fault := self._watch.take(hand, answer.keyword, value)) is not None:
+            self.restarted[name] = fault
+            hand.move, hand.powered_ns = None, None
+        elif self._watch.allows_moves(name) and hand.left[:1] == [answer.keyword]:
+            del hand.left[0]
+
+    def _take(self, hand: _Hand, keyword: str, at_ns: int, value: float) -> None:
+        health = self.health[hand.joint.name]
         match keyword:
             case "QT":
                 health.temperature_c = value
@@ -149,8 +227,34 @@ class Poller:
                 health.voltage_v = value
             case "QC":
                 health.current_a = value
+            case _ if self._is_turned(hand, value):
+                hand.hold_back()
             case _:
-                self.note(joint, at_ns, value)
+                self.note(hand.joint, at_ns, value)
+                if hand.left[:1] == ["QD"]:
+                    del hand.left[0]
+
+    def _is_turned(self, hand: _Hand, servo_deg: float) -> bool:
+        """Return whether a reading is in another turn than the one before.
+
+        The second in a row is a fault, and counts: then the joint gets no move any more.
+        """
+        joint = hand.joint
+        before_deg = joint.servo_deg(self.readings[joint.name].deg)
+        was_turned, hand.is_turned = hand.is_turned, abs(servo_deg - before_deg) > HALF_TURN_DEG
+        if was_turned and hand.is_turned:
+            hand.move, hand.is_barred, hand.is_turned = None, True, False
+            self._report(joint, turn_text(joint, servo_deg, before_deg), Cause.LOST_TURN)
+        return hand.is_turned
+
+    def settle(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
+        """Note that a servo that had restarted has its settings again, and stands there."""
+        hand = self._hands[joint.bus, joint.servo_id]
+        self._watch.trust(joint.name)
+        for _ in range(2):
+            if not self._is_turned(hand, servo_deg):
+                break
+        self.note(joint, at_ns, servo_deg)
 
     def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
         """Record the angle of a servo."""
@@ -172,6 +276,8 @@ class Poller:
         tracker, line = self._trackers[bus], self._lines[bus]
         is_status_due = now_ns >= self._status_ns[bus]
         turn = self._status_turns[bus] if is_status_due else self._turns[bus]
+        if guards := self._guards(bus, now_ns):
+            is_status_due, turn = False, guards
         for _ in range(len(turn)):
             joint, keyword = turn[0]
             self._notice_silence(joint, now_ns)
@@ -195,11 +301,22 @@ class Poller:
             self._status_ns[bus] = now_ns + self._status_every_ns
         return True
 
+    def _guards(self, bus: str, now_ns: int) -> deque[tuple[Joint, str]]:
+        """Return the queries for which moves wait, of servos that may be queried now."""
+        tracker = self._trackers[bus]
+        return deque(
+            (hand.joint, hand.left[0])
+            for (own_bus, servo_id), hand in self._hands.items()
+            if own_bus == bus and hand.move and hand.left
+            if tracker.quiet_until_ns(servo_id) <= now_ns and not tracker.is_waiting(servo_id)
+        )
+
     def _notice_silence(self, joint: Joint, now_ns: int) -> None:
         if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
             self._report(joint, "does not answer", Cause.SILENT)
 
-    def _notice_status(self, joint: Joint, reply: Reply) -> None:
+    def _notice_status(self, hand: _Hand, reply: Reply, asked_ns: int) -> None:
+        joint = hand.joint
         if not isinstance(reply.value, int):
             return
         state = status_from(reply.value, joint.model.family, self.firmware.get(joint.name))
@@ -207,6 +324,12 @@ class Poller:
         if state in (Status.SAFE_MODE, Status.ERROR):
             cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
             self._report(joint, f"reports {state.value}", cause)
+        was_limp, hand.is_limp = hand.is_limp, False
+        if state is Status.LIMP and hand.powered_ns is not None and asked_ns > hand.powered_ns:
+            hand.is_limp = True
+            if was_limp:  # One answer may be damaged.
+                hand.powered_ns = None
+                self._report(joint, STATUS_TEXTS[Cause.RESTARTED], Cause.RESTARTED)
 
     def _report(self, joint: Joint, text: str, cause: Cause) -> None:
         if (key := f"{joint.name} {text}") not in self._reported:
@@ -270,9 +393,10 @@ class HandsOn:
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
         self._needs_frame = needs_frame
-        self._dialogue: Dialogue | Preflight | None = Preflight(
-            self.joints, robot, self.lines, self._trackers
-        )
+        self._before = Preflight(self.joints, robot, self.lines, self._trackers)
+        self._dialogue: Dialogue | Preflight | SettingsDialogue | None = self._before
+        self._away: list[Joint] = []
+        """Joints whose servos have restarted, and do not have their settings again."""
         self._has_set = self._has_acted = False
         self._stops = 0
         self._now_ns = 0
@@ -286,7 +410,7 @@ class HandsOn:
             if not self._dialogue.is_finished:
                 break
             self._after_dialogue(leaves_ns)
-        if self.phase is Phase.SHOW:
+        if self.phase is Phase.SHOW and self._dialogue is None:
             self._poller.advance(leaves_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
@@ -297,6 +421,8 @@ class HandsOn:
                 self._dialogue.receive(bus, reply, now_ns)
             elif self.phase is Phase.SHOW:
                 self._poller.receive(bus, reply, ended_ns)
+                if self._poller.restarted:
+                    self._begin_recovery()
 
     def next_wakeup_ns(self) -> int | None:
         if self.phase is Phase.DONE:
@@ -392,12 +518,18 @@ class HandsOn:
     def _after_dialogue(self, now_ns: int) -> None:
         assert self._dialogue is not None
         dialogue, self._dialogue = self._dialogue, None
-        self._answers = {**self._answers, **dialogue.answers}
         match self.phase:
             case Phase.CONNECT:
                 assert isinstance(dialogue, Preflight)
+                self._answers = dialogue.answers
                 self._connected(dialogue)
+            case Phase.SHOW if isinstance(dialogue, Preflight):
+                self._proved(dialogue)
+            case Phase.SHOW if isinstance(dialogue, SettingsDialogue):
+                self._set_again(dialogue, now_ns)
             case Phase.PREPARE:
+                self._answers = {**self._answers, **dialogue.answers}
+                self._poller.watch(self._probes())
                 for joint in self.joints:
                     angle_deg = handshake.reported(joint, self._answers, "QD")
                     assert angle_deg is not None, "essential queries are answered"
@@ -430,8 +562,62 @@ class HandsOn:
         orders += handshake.unconfirmed_orders(self.joints, self._answers)
         self._dialogue = self._ask([*handshake.settings_queries(self.joints), *orders])
 
+    def _probes(self) -> dict[str, list[Probe]]:
+        """Return what shows whether a servo has restarted; of some it is only the gyre."""
+        probes = handshake.probes(self.joints, self._answers)
+        for joint in self.joints:
+            gyre = self.answer_of(joint.name, "QG")
+            if joint.name not in probes and gyre is not None:
+                probes[joint.name] = [Probe("QG", gyre, None)]
+        return probes
+
+    def _begin_recovery(self) -> None:
+        """Compare servos that have restarted with what they were, and set them up again."""
+        restarted, self._poller.restarted = self._poller.restarted, {}
+        self._away = [joint for joint in self.joints if joint.name in restarted]
+        for joint in self._away:
+            self.limp.add(joint.name)
+            text = f"{restarted[joint.name]}. It is limp"
+            self._events.append(Faulted(joint.name, text, Cause.RESTARTED, FaultStep.WARN))
+        self._prove()
+
+    def _prove(self) -> None:
+        self._dialogue = Preflight(
+            self._away, self.robot, self.lines, self._trackers, before=self._before
+        )
+
+    def _proved(self, preflight: Preflight) -> None:
+        try:
+            preflight.require_same()
+        except LssMotionError as error:
+            self.error = error
+            self._restore()
+            return
+        if preflight.unproved:
+            self._prove()
+            return
+        orders = handshake.session_orders(self._away, self._answers)
+        unconfirmed = handshake.unconfirmed_orders(self._away, self._answers)
+        positions = handshake.position_queries(self._away)
+        self._dialogue = SettingsDialogue(
+            orders, positions, unconfirmed, self.lines, self._trackers
+        )
+
+    def _set_again(self, dialogue: SettingsDialogue, now_ns: int) -> None:
+        standing_deg = handshake.standing_deg(self._away, dialogue.answers)
+        if dialogue.wrong:
+            self.error = handshake.not_applied_error(
+                dialogue.wrong[0], dialogue.answers, self._away
+            )
+            self._restore()
+        elif len(standing_deg) < len(self._away):
+            self._prove()
+        else:
+            for joint in self._away:
+                self._poller.settle(joint, now_ns, standing_deg[joint.name])
+
     def _restore(self) -> None:
-        if self._dialogue is not None:
+        if self._dialogue is not None and self.phase is not Phase.SHOW:
             self._answers = {**self._answers, **self._dialogue.answers}
         self._enter(Phase.RESTORE)
         orders: list[Item] = []

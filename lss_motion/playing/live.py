@@ -10,7 +10,6 @@ their own settings again after it. When the block is left, by an exception too, 
 safe end.
 """
 
-# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import atexit
@@ -24,13 +23,14 @@ from lss_motion.files.source import known_names
 from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
 from lss_motion.playing.player import handshake
+from lss_motion.playing.player.health import turn_text
 from lss_motion.playing.player.player import Player
 from lss_motion.playing.player.repertoire import Repertoire
 from lss_motion.playing.player.transactions import Item
 from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command
-from lss_motion.robot.model import Robot
+from lss_motion.robot.model import HALF_TURN_DEG, Robot
 from lss_motion.show.check import check_sequence
 from lss_motion.show.model import Keyframe, Sequence, Timing
 from lss_motion.system.clock import MonotonicClock, VirtualClock
@@ -69,6 +69,8 @@ class Live:
         self.warnings: list[str] = []
         """What a person may want to mend, found when the robot was checked."""
         self._limp: dict[str, Joint] = {}
+        self._held_deg: dict[str, float] = {}
+        """Where joints that hold stood last, in joint degrees."""
         self._is_closed = False
         self._connection = connections.connect(robot.buses, robot=robot, clock=clock, seed=seed)
         self._connection.__enter__()
@@ -117,6 +119,7 @@ class Live:
         check_sequence(Sequence(name="move", keyframes=(Keyframe(deg=targets),)), self.robot)
         joints = [self.robot.joints[name] for name in targets]
         here = self.read()
+        self._require_same_turn(joints, here)
         from_deg = {
             joint.name: min(max(here[joint.name], joint.position_min_deg), joint.position_max_deg)
             for joint in joints
@@ -139,12 +142,24 @@ class Live:
         if player.outcome != "finished":
             text = "; ".join(str(fault) for fault in player.faults) or "the move was stopped"
             raise PlaybackError(f"{text}. The robot holds")
+        self._held_deg |= {name: here[name] for name in here if name not in self._limp} | targets
         return program.duration_s
+
+    def _require_same_turn(self, joints: Iterable[Joint], here_deg: Mapping[str, float]) -> None:
+        """Raise `PlaybackError` for a joint that held and is in another turn: it has restarted."""
+        for joint in joints:
+            before_deg = self._held_deg.get(joint.name, here_deg[joint.name])
+            if abs(here_deg[joint.name] - before_deg) > HALF_TURN_DEG:
+                reported_deg = joint.servo_deg(here_deg[joint.name])
+                text = turn_text(joint, reported_deg, joint.servo_deg(before_deg))
+                raise PlaybackError(f"joint {joint.name!r} {text}", joint=joint.name)
 
     def limp(self, *names: str) -> None:
         """Take the power from these joints, or from all: they fall, and hands can move them."""
         joints = self._named(names)
-        self._limp |= {joint.name: joint for joint in joints}
+        for joint in joints:
+            self._limp[joint.name] = joint
+            self._held_deg.pop(joint.name, None)
         self._send_limp(joints)
 
     def hold(self, *names: str) -> None:
@@ -230,6 +245,7 @@ class Live:
             raise
         finally:
             self._limp.clear()
+            self._held_deg.clear()
         if hands_on.error is not None:
             raise hands_on.error
 

@@ -138,3 +138,18 @@ def test_an_lss_pro_that_holds_is_in_no_error_whatever_its_firmware(firmware):
         live._connection.run(hands_on, controls=StopAfter(3.0), on_event=events.append)
         assert live.read()["j0"] == pytest.approx(10.0, abs=0.5)
     assert not [event for event in events if isinstance(event, Faulted)]
+
+
+def test_a_joint_that_lost_its_turn_between_two_moves_is_not_moved():
+    robot = make_robot(
+        1, baud_bps=115200, position_min_deg=0.0, position_max_deg=250.0, turns="by_hand"
+    )
+    with lss.connect(robot, is_virtual=True) as live:
+        live.move_to({"j0": 220.0}, 3.0)
+        (bus,) = live._connection.simulated.values()
+        bus._servos[0].reset(live._connection.clock.now_ns(), 0.02)
+        moves = [line for _, line in bus.lines if is_move(line)]
+        for _ in range(2):
+            with pytest.raises(lss.PlaybackError, match="in another turn"):
+                live.move_to({"j0": 200.0}, 1.0)
+        assert [line for _, line in bus.lines if is_move(line)] == moves

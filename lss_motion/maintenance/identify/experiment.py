@@ -61,6 +61,7 @@ class Experiment(JointRun):
 
     def _prepared(self, now_ns: int) -> None:
         self._take_answers()
+        self._poller.watch(handshake.probes([self.joint], self._answers))
         self.state = State.HOLD
         self._has_moved = True
         move = PlannedMove(0.0, self._standing_deg, HOLD_MS)

@@ -25,15 +25,17 @@ from lss_motion.maintenance.identify.trials import (
 )
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.checks import reported_firmware
-from lss_motion.playing.player.health import status_fault
+from lss_motion.playing.player.health import STATUS_TEXTS, status_fault
 from lss_motion.playing.player.query_tracker import QueryTracker
 from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.settings_watch import SettingsWatch
 from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.protocol.codec import read_reply
-from lss_motion.protocol.constants import Status, status_from
+from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
+from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.profile import Profile, ramp_deg_s2
-from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.identify.trials import Window
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.handshake import Answers, SettingsDialogue
+    from lss_motion.playing.player.settings_watch import Probe
     from lss_motion.playing.player.transactions import Item
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
@@ -51,7 +54,8 @@ READ_EVERY_NS: Final = 6 * NS_PER_MS
 STATUS_EVERY: Final = 10
 """One query in so many is for the status of the servo."""
 SILENT_ASKS: Final = 6
-"""After so many queries without an answer, with a pause after each, a servo is silent."""
+SILENT_NS: Final = NS_PER_S // 2
+"""After so many queries without an answer in so long a time, a servo is silent."""
 ARRIVED_RATIO: Final = 0.5
 """A horn that moved less than this share of its way is blocked."""
 WAY_LEAST_DEG: Final = 2.0
@@ -108,6 +112,9 @@ class JointRun(ABC):
         self._rests_ns = 0
         self._outside_count = 0
         self._has_set = self._has_moved = False
+        self._holds_all = False
+        """Whether the servo may have restarted: then it may be limp and without its limits, and
+        what made it restart may have hit the others."""
         self._now_ns = 0
 
     # ---- what a subclass decides
@@ -174,8 +181,10 @@ class JointRun(ABC):
         if self._dialogue is not None:
             wakeup_ns = self._dialogue.next_wakeup_ns()
             return self._now_ns if wakeup_ns is None else max(wakeup_ns, self._now_ns)
-        wakeups_ns = [self._poller.next_wakeup_ns(), self._rests_ns + ns_from_s(SETTLE_MAX_S)]
-        if self._moves:
+        wakeups_ns = [self._poller.next_wakeup_ns()]
+        if self._may_move:
+            wakeups_ns.append(self._rests_ns + ns_from_s(SETTLE_MAX_S))
+        if self._may_move and self._moves:
             wakeups_ns.append(self._due_ns(self._moves[0]))
         return max(min(wakeups_ns), self._now_ns)
 
@@ -219,9 +228,9 @@ class JointRun(ABC):
                 self._after_dialogue(now_ns)
                 return True
             return False
-        while self._moves and self._due_ns(self._moves[0]) <= now_ns:
+        while self._may_move and self._moves and self._due_ns(self._moves[0]) <= now_ns:
             self._send(self._moves.popleft(), now_ns)
-        if self._is_over(now_ns):
+        if self._may_move and self._is_over(now_ns):
             self._after_trial(now_ns)
             return True
         self._poller.ask(now_ns, self._due_ns(self._moves[0]) if self._moves else None)
@@ -231,6 +240,11 @@ class JointRun(ABC):
             self._fail(error, now_ns)
             return True
         return False
+
+    @property
+    def _may_move(self) -> bool:
+        """Whether the servo is not in doubt to have restarted; to brake needs no settings."""
+        return self.state is State.BRAKE or not self._poller.is_doubtful
 
     def _after_dialogue(self, now_ns: int) -> None:
         if self.state is State.RESTORE:
@@ -266,6 +280,9 @@ class JointRun(ABC):
         self._take_answers()
         self.state = State.BRAKE
         command, lasts_s = self._stop_move(now_ns)
+        if self._poller.is_doubtful or self._poller.is_silent:
+            self._holds_all = True
+            command, lasts_s = Command(self.joint.servo_id, "H"), 0.0
         self._begin(TrialPlan(Kind.STEP, (), lasts_s), now_ns)
         self._line.send(encode(command), now_ns)
 
@@ -324,7 +341,8 @@ class JointRun(ABC):
         return PlaybackError(f"joint {self.joint.name!r} {cause}", joint=self.joint.name)
 
     def _hold_bytes(self) -> bytes:
-        return encode(Command(self.joint.servo_id, "H"))
+        servo_id = BROADCAST_ID if self._holds_all else self.joint.servo_id
+        return encode(Command(servo_id, "H"))
 
     def _ask(self, items: Sequence[Item]) -> Dialogue:
         bus = self.joint.bus
@@ -347,42 +365,74 @@ class PositionPoller:
 
     STUCK must come twice to be a fault: a horn that turns back stands still for a moment. With
     `also`, a keyword, every second query is that one.
+
+    A query without an answer, and a servo that is limp, are signs of a restart: then one of its
+    probes is queried at once, and it `is_doubtful` until it answers as it was set (`watch`).
     """
 
     def __init__(self, joint: Joint, line: SerialLine, firmware: int | None) -> None:
         self.tracker = QueryTracker(line)
-        self._firmware = firmware
+        self.joint = joint
         self.also = ""
-        self._joint = joint
+        self.is_silent = False
+        self._firmware = firmware
         self._line = line
         self._next_ns = 0
         self._count = 0
-        self._silent_count = 0
+        self._silent_count = self._silent_ns = 0
         self._status: Status | None = None
+        self._watch = SettingsWatch({})
+        self._has_power = self._is_limp = False
+
+    def watch(self, probes: Mapping[str, Sequence[Probe]]) -> None:
+        """Watch for a restart from now on: the servo is set to these, and is to have power."""
+        self._watch = SettingsWatch(probes)
+        self._has_power = True
+
+    def hold_back(self) -> None:
+        """Send no move to the servo: `is_doubtful` says so."""
 
     @property
-    def is_silent(self) -> bool:
-        return self._silent_count >= SILENT_ASKS
+    def is_doubtful(self) -> bool:
+        """Whether the servo may have restarted, or has."""
+        return self._is_limp or not self._watch.allows_moves(self.joint.name)
 
     def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Send a query if it is due and ends before `quiet_until_ns` (None: no limit)."""
-        tracker, servo_id = self.tracker, self._joint.servo_id
-        self._silent_count += len(tracker.expire(now_ns))
+        tracker, servo_id = self.tracker, self.joint.servo_id
+        self._note_timeouts(len(tracker.expire(now_ns)), now_ns)
         if tracker.is_waiting(servo_id):
             return
-        self._next_ns = max(self._next_ns, tracker.quiet_until_ns(servo_id))
+        probe = self._watch.urgent(self.joint.name)
+        if probe is None:
+            self._next_ns = max(self._next_ns, tracker.quiet_until_ns(servo_id))
         if now_ns < self._next_ns:
             return
-        is_status = self._count % STATUS_EVERY == STATUS_EVERY - 1
-        plain = self.also if self.also and self._count % 2 else "QD"
-        question = Command(servo_id, "Q" if is_status else plain)
+        question = Command(servo_id, probe or self._keyword())
         ends_ns = self._line.arrival_ns(len(encode(question)), now_ns)
-        if quiet_until_ns is not None and ends_ns > quiet_until_ns:
+        if quiet_until_ns is not None and ends_ns > quiet_until_ns and not self.is_doubtful:
             self._next_ns = quiet_until_ns
             return
         tracker.send(question, now_ns)
         self._count += 1
         self._next_ns = now_ns + READ_EVERY_NS
+
+    def _note_timeouts(self, count: int, now_ns: int) -> None:
+        if not count:
+            return
+        if not self._silent_count:
+            self._silent_ns = now_ns
+        self._silent_count += count
+        lasts_ns = now_ns - self._silent_ns
+        self.is_silent = self._silent_count >= SILENT_ASKS and lasts_ns >= SILENT_NS
+        self._watch.note_sign(self, now_ns)
+        if self._watch.urgent(self.joint.name) is not None:
+            self._next_ns = now_ns
+
+    def _keyword(self) -> str:
+        if self._is_limp or self._count % STATUS_EVERY == STATUS_EVERY - 1:
+            return "Q"
+        return self.also if self.also and self._count % 2 else "QD"
 
     def next_wakeup_ns(self) -> int:
         give_up_ns = self.tracker.give_up_ns
@@ -397,18 +447,30 @@ class PositionPoller:
         self._silent_count = 0
         wait_ns = now_ns - asked.arrival_ns - self._line.time_ns(len(encode(reply)))
         turnaround_s = max(0.0, s_from_ns(wait_ns))
-        statement = read_reply(self._joint.model.language, reply)
+        if reply.keyword in self._watch.keywords(self.joint.name):
+            value = reply.value if isinstance(reply.value, int) else None
+            fault = self._watch.take(self, reply.keyword, value)
+            return PolledReading(asked.arrival_ns, turnaround_s, fault=fault)
+        statement = read_reply(self.joint.model.language, reply)
         if statement is None or not isinstance(statement.value, int | float):
             return PolledReading(asked.arrival_ns, turnaround_s)
         if reply.keyword == "QD":
             return PolledReading(asked.arrival_ns, turnaround_s, reading_deg=float(statement.value))
         if reply.keyword == self.also:
             return PolledReading(asked.arrival_ns, turnaround_s, also=float(statement.value))
-        status = status_from(int(statement.value), self._joint.model.family, self._firmware)
-        before, self._status = self._status, status
-        is_passing = status is Status.STUCK and before is not Status.STUCK
-        fault = None if is_passing else status_fault(status)
+        fault = self._status_fault(int(statement.value), asked.arrival_ns)
         return PolledReading(asked.arrival_ns, turnaround_s, fault=fault)
+
+    def _status_fault(self, code: int, asked_ns: int) -> str | None:
+        """Return the fault that a status shows; None: there is none, or it is to be confirmed."""
+        status = status_from(code, self.joint.model.family, self._firmware)
+        before, self._status = self._status, status
+        was_limp, self._is_limp = self._is_limp, self._has_power and status is Status.LIMP
+        if self._is_limp:
+            self._watch.note_sign(self, asked_ns)
+            return STATUS_TEXTS[Cause.RESTARTED] if was_limp else None
+        is_passing = status is Status.STUCK and before is not Status.STUCK
+        return None if is_passing else status_fault(status)
 
 
 def not_arrived(

@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import BusError, PlaybackError
 from lss_motion.playing.player.cues import LED_KEYWORD
+from lss_motion.playing.player.settings_watch import Probe
 from lss_motion.playing.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import language_table, make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
@@ -381,6 +382,25 @@ def restart_probes(joints: Iterable[Joint], original: Answers) -> list[Item]:
 def changing_orders(joints: Iterable[Joint], original: Answers) -> list[Item]:
     """Return the settings for the show that differ from the original ones."""
     return not_applied(session_orders(joints, original), original)
+
+
+def probes(
+    joints: Sequence[Joint], original: Answers, orders: Sequence[Item] | None = None
+) -> dict[str, list[Probe]]:
+    """Return by joint what shows whether its servo has restarted since it was given `orders`.
+
+    None: the settings for a show.
+    """
+    names = {(joint.bus, joint.servo_id): joint.name for joint in joints}
+    found: dict[str, list[Probe]] = {}
+    given = session_orders(joints, original) if orders is None else orders
+    for order in not_applied(given, original):
+        servo, keyword = (order.bus, order.command.servo_id), f"Q{order.command.keyword}"
+        before = original.get((*servo, keyword))
+        if isinstance(order.command.value, int) and isinstance(before, int):
+            probe = Probe(keyword, order.command.value, before)
+            found.setdefault(names[servo], []).append(probe)
+    return found
 
 
 @dataclass(slots=True)

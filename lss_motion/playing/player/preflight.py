@@ -343,10 +343,10 @@ class Preflight:
         return self._lines[bus].garbage + self._trackers[bus].strays
 
     def _refusals(self) -> list[Refusal]:
+        if self._before is not None:
+            return _exchanges(self._joints, self, self._before, self._robot)
         present = standing_deg(self._joints, self.answers)
         joints = [joint for joint in self._joints if joint.name in present]
-        if self._before is not None:
-            return _exchanges(joints, self, self._before, self._robot)
         return checks.refusals(joints, self.answers, self.stored, self._robot, self._show)
 
     def _unanswered(self) -> list[Item]:

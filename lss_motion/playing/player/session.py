@@ -25,7 +25,6 @@ from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import BY_NEED
 from lss_motion.playing.player.query_tracker import QueryTracker
 from lss_motion.playing.player.serial_line import SerialLine
-from lss_motion.playing.player.settings_watch import Probe
 from lss_motion.playing.player.streamer import Streamer
 from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.playing.player.unasked import UnaskedWatches
@@ -472,7 +471,7 @@ class Session:
             has_feedback=self.has_feedback,
             start_ns=now_ns,
             start_s=start_s,
-            probes=self._probes(),
+            probes=handshake.probes(self.driven, self.original),
             pace=self._pace,
             beside=() if is_beside else self.beside,
             is_polling=not is_beside,
@@ -482,18 +481,6 @@ class Session:
         streamer.leave_out(self.left_out)
         self._take_over(streamer, () if is_beside else self.lent)
         return streamer
-
-    def _probes(self) -> dict[str, list[Probe]]:
-        """Return by joint what shows whether its servo has restarted."""
-        names = {(joint.bus, joint.servo_id): joint.name for joint in self.driven}
-        probes: dict[str, list[Probe]] = {}
-        for order in handshake.changing_orders(self.driven, self.original):
-            servo, keyword = (order.bus, order.command.servo_id), f"Q{order.command.keyword}"
-            original = self.original.get((*servo, keyword))
-            if isinstance(order.command.value, int) and isinstance(original, int):
-                probe = Probe(keyword, order.command.value, original)
-                probes.setdefault(names[servo], []).append(probe)
-        return probes
 
     def _take_over(self, streamer: Streamer, lent: Container[str] = ()) -> None:
         """Give the joints of `streamer` the estimates of the streamer before it.

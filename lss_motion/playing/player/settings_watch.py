@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.playing.player.joint_state import JointState
+    from lss_motion.robot.model import Joint
 
 
 HOLD_SIGNS: Final = 3
@@ -35,6 +35,15 @@ READ_BACK_NS: Final = 3 * NS_PER_S // 10
 """A probe of a servo is queried at least this often when it is its turn, however slow its line is:
 a restart that nothing else shows is found by it. Chosen: on an idle line the health queries do that
 every 0.25 s; three servos at 9600 bps need a tenth of the line for it."""
+
+
+class Watched(Protocol):
+    """What the watch needs of the state of a joint."""
+
+    joint: Joint
+
+    def hold_back(self) -> None:
+        """Send no move to the servo: it may have lost its limits."""
 
 
 class Probe(NamedTuple):
@@ -125,6 +134,10 @@ class SettingsWatch:
         """Return whether the settings of a joint are not in doubt, and not known to be lost."""
         return name not in self._doubts and name not in self._restarted
 
+    def trust(self, name: str) -> None:
+        """Note that a servo that had restarted was given its settings again."""
+        self._restarted.discard(name)
+
     def read_back(self, name: str, now_ns: int) -> str | None:
         """Return the probe that must be queried since the last one was too long ago."""
         words = self._keywords.get(name)
@@ -141,7 +154,7 @@ class SettingsWatch:
             _, count = self._read_backs.get(name, (0, 0))
             self._read_backs[name] = now_ns, count + 1
 
-    def note_sign(self, state: JointState, now_ns: int, *, count: int = 1) -> None:
+    def note_sign(self, state: Watched, now_ns: int, *, count: int = 1) -> None:
         """Note a sign of a restart that counts `count` times; several at one instant are one."""
         name = state.joint.name
         if not self._probes.get(name) or name in self._restarted:
@@ -153,7 +166,7 @@ class SettingsWatch:
         if doubt.signs >= HOLD_SIGNS:
             state.hold_back()
 
-    def take(self, state: JointState, keyword: str, value: int | None) -> str | None:
+    def take(self, state: Watched, keyword: str, value: int | None) -> str | None:
         """Judge the answer to a probe; return the text of the fault if the servo has restarted.
 
         A right answer ends the doubt. `state` may then be sent moves again.

@@ -31,4 +31,4 @@ def test_a_move_takes_the_place_of_one_that_waits():
         poller.advance(now_ms * 1_000_000)
         sent += line.take()
     moves = [part for part in sent.split(b"\r") if b"Q" not in part and part]
-    assert moves == [b"#2D-30", b"#1H", b"#1D40"]
+    assert moves == [b"#1H", b"#1D40", b"#2D-30"]

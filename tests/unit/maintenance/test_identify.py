@@ -230,7 +230,7 @@ def test_a_fault_of_a_servo_is_reported_and_it_is_left_safe(fault, error, text):
     assert isinstance(experiment.error, error)
     assert any(part in str(experiment.error) for part in text.split("|"))
     received = bench.lines()
-    assert received[-1] == b"#3H"
+    assert received[-1] == (b"#254H" if error is BusError else b"#3H")
     assert set(received[-5:-1]) == RESTORED
     assert bench.connection.clock.now_ns() < 6e9
 
@@ -410,3 +410,21 @@ def test_scatter_is_not_play():
     random = np.random.default_rng(5)
     found = rests(lambda target, sign: random.normal(0.0, 0.1), noise_deg=0.1)
     assert found.play.value == 0.0
+
+
+# ---- a servo that restarts
+
+
+@pytest.mark.parametrize("deaf_s", [0.02, 0.1, 0.3, 1.25])
+@pytest.mark.parametrize("at_s", [3.013, 5.2, 8.0])
+def test_a_restart_is_named_and_no_move_follows_it(at_s, deaf_s):
+    reset = Fault(kind=FaultKind.RESET, servo_id=3, at_s=at_s, deaf_s=deaf_s)
+    bench = Bench(joint=replace(JOINT, speed_max_deg_s=60.0), faults=[reset])
+    experiment = bench.run()
+    text = str(experiment.error)
+    assert "restarted" in text or (deaf_s > 1.0 and "stopped answering" in text)
+    speed_deg_s = np.abs(np.diff(bench.horn_deg())) / (TICK_NS / 1e9)
+    assert speed_deg_s.max() <= 1.1 * 60.0
+    back_ns = int((at_s + deaf_s + 0.03) * 1e9)
+    assert not [line for at_ns, line in bench.bus.lines if at_ns > back_ns and b"#3D" in line]
+    assert bench.lines()[-1] == b"#254H"
