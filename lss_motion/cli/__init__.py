@@ -37,7 +37,8 @@ walk            `walk`: a gait that is steered while it runs
 Shared by them:
 
 ==============  =================================================================================
-commands        declares commands and shared arguments, checks them, loads the robot; all commands
+commands        the list of commands; declares them, loads the robot; all commands
+options         the options that several commands have, each once; all commands
 start           the entry points: signals are handled before anything heavy is imported
 messages        prints errors and lines; turns exceptions into exit codes; `main`, `play`, others
 terminal        keys and signals during a run; `play`, `walk`, `identify`, `hands`
@@ -48,7 +49,7 @@ display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
 sounds          the offset of sounds that is kept, sounds that were silent; `play`
 voices          a sound as motion: the options and texts of `import`; `exchange`
-served          the options of the server, and what is printed of it; `studio`, `serve`
+served          what is needed to serve, and what is printed of it; `studio`, `serve`
 servo_settings  reads and writes settings over an open connection; `configure`
 ==============  =================================================================================
 """

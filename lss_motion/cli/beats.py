@@ -7,7 +7,8 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import PLOT_HELP, add_command, add_json, number_from, print_json
+from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.options import add_options, number_from
 from lss_motion.cli.voices import channel_of
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -76,7 +77,7 @@ def add_to(commands: Commands) -> None:
     beats.add_argument(
         "--channel", type=channel_of, default="mix", metavar="C", help="left, right, or a number"
     )
-    beats.add_argument("--plot", type=Path, metavar="F.png", help=PLOT_HELP)
+    add_options(beats, "--plot")
     beats.add_argument(
         "--into", type=Path, metavar="SHOW.yaml", help="write them into this sequence file"
     )
@@ -85,10 +86,8 @@ def add_to(commands: Commands) -> None:
         action="store_true",
         help="with --into: keyframes at beats are anchors, whose times must be met",
     )
-    beats.add_argument(
-        "--force", action="store_true", help="replace the beats that the sequence file has"
-    )
-    add_json(beats)
+    add_options(beats, "--force", help="replace the beats that the sequence file has")
+    add_options(beats, "--json")
 
 
 def _beats(arguments: argparse.Namespace) -> int:

@@ -36,10 +36,6 @@ CAREFUL_RATE: Final = 0.5
 acceleration a quarter. Chosen: slow enough for a person to see a mistake and press q, fast enough
 for a show to look like itself; + raises it to full speed."""
 
-CAREFUL_HELP: Final = (
-    "first move one joint at a time, slowly and a little, and compare direction, speed and lag "
-    "with what is expected; then {verb} at half speed, which + raises"
-)
 PASSED: Final = (
     "All joints moved as expected. If one turned to another side than listed, answer n, and\n"
     "correct its `direction` (lss-motion calibrate). The {what} at {rate:.0%} of its "

@@ -1,4 +1,4 @@
-"""What several commands share: declaring a command, arguments, checks, and loading the robot.
+"""What several commands share: declaring a command, checks of arguments, and loading the robot.
 
 Two rules hold for all commands:
 
@@ -16,7 +16,6 @@ import argparse
 import json
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from lss_motion import __version__
@@ -24,6 +23,7 @@ from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from lss_motion.planning.shows import Show
     from lss_motion.robot.model import Robot
@@ -34,26 +34,6 @@ if TYPE_CHECKING:
 TOLERANCE_MAX_DEG: Final = 90.0
 """The largest tolerance of a reduced recording; beyond it no motion is left."""
 
-PORT_HELP: Final = "serial device or URL, such as /dev/ttyUSB0; sim:// simulates the servos"
-ROBOT_HELP: Final = "use this robot file"
-CACHE_HELP: Final = (
-    "read limits that the robot file does not give from this backup, not from the servos; "
-    "`lss-motion configure ROBOT --backup FILE` writes one"
-)
-SEED_HELP: Final = "seed of the simulated bus (default 0)"
-NO_FEEDBACK_HELP: Final = "send no queries, correct nothing"
-UNLIMITED_HELP: Final = (
-    "with --no-feedback: play although servos store higher limits than their joints have, so that "
-    "one which restarts would move too fast and nothing would notice it"
-)
-QUIET_HELP: Final = "print errors only, no display"
-REPORT_HELP: Final = "write the report to this JSON file"
-PLOT_HELP: Final = "draw it into this picture; the suffix sets the format"
-SIM_HELP: Final = (
-    "simulated bus only: servos that differ from what is assumed, such as lag=+30ms,droop=3deg; or "
-    "a file; `lss-motion sim --help` lists the keys"
-)
-VIRTUAL_HELP: Final = "simulate in virtual time: fast, and the same on every run"
 SIMULATED_NOTE: Final = "The servos are simulated: these values tell nothing about a real robot."
 
 COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
@@ -169,75 +149,6 @@ def add_version(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--version", action="version", version=f"%(prog)s {__version__}", help="print the version"
     )
-
-
-def add_force(parser: argparse.ArgumentParser) -> None:
-    """Add `--force`, for `require_outputs`."""
-    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
-
-
-def add_all(parser: argparse.ArgumentParser, words: str = "") -> None:
-    """Add `--all`, which lists all that `summaries.plan_lines` finds; `words` begin its help."""
-    parser.add_argument(
-        "--all",
-        action="store_true",
-        help=f"{words}list all slow spans and late keyframes, not only the worst ten",
-    )
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add `--json`, for `print_json`."""
-    parser.add_argument("--json", action="store_true", help="print JSON for other programs")
-
-
-def add_robot(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
-    """Add the robot file as ROBOT or `--robot`, for a command that has no other file."""
-    group = parser.add_mutually_exclusive_group(required=is_required)
-    group.add_argument("robot", nargs="?", action=_Robot, metavar="ROBOT", help="the robot file")
-    group.add_argument("--robot", action=_Robot, metavar="FILE", help="the robot file")
-
-
-class _Robot(argparse.Action):
-    """Stores the given robot file. An omitted argument leaves the value of the other one."""
-
-    def __call__(
-        self,
-        _parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: object,
-        _option: str | None = None,
-    ) -> None:
-        if values is not None:
-            setattr(namespace, self.dest, Path(str(values)))
-
-
-def add_robot_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--robot` and `--robot-cache`, for a command whose first file is a show; for `reader`."""
-    parser.add_argument("--robot", type=Path, metavar="FILE", help=ROBOT_HELP)
-    add_cache_option(parser)
-
-
-def add_cache_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--robot-cache`, for `reader`."""
-    parser.add_argument("--robot-cache", type=Path, metavar="FILE", help=CACHE_HELP)
-
-
-def number_from(
-    low: float, high: float, unit: str = "", *, is_above: bool = False
-) -> Callable[[str], float]:
-    """Return the type of an argument: a number from `low` to `high`, or above `low`."""
-
-    def number(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high or (is_above and value == low):
-            bounds = f"{'above' if is_above else 'from'} {low:g} to {high:,.12g} {unit}".rstrip()
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number {bounds}")
-        return value
-
-    return number
 
 
 def require_joint(robot: Robot, name: str) -> None:

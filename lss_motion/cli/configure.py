@@ -10,15 +10,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import (
-    PORT_HELP,
-    add_command,
-    add_robot,
-    require_baud,
-    require_joint,
-    robot_at,
-)
+from lss_motion.cli.commands import add_command, require_baud, require_joint, robot_at
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
@@ -62,10 +56,7 @@ def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     configure = add_command(commands, "configure", _configure, DESCRIPTION)
     add_robot(configure, is_required=False)
-    configure.add_argument("--port", metavar="URL", help=PORT_HELP)
-    configure.add_argument(
-        "--baud", type=int, metavar="BPS", help="baud rate without a robot file (default 115200)"
-    )
+    add_options(configure, "--port", "--baud")
     configure.add_argument(
         "--joint", action="append", metavar="NAME", help="only this joint; may be repeated"
     )
@@ -94,10 +85,10 @@ def add_to(commands: Commands) -> None:
         "--session", action="store_true", help="write values that last until power-off"
     )
     configure.add_argument("--dry-run", action="store_true", help="print the differences only")
-    configure.add_argument("--yes", action="store_true", help="write without the question")
-    configure.add_argument(
+    add_options(configure, "--yes", help="write without the question")
+    add_options(
+        configure,
         "--force",
-        action="store_true",
         help="also write what may make a servo unreachable; overwrite a backup file",
     )
     modes = configure.add_mutually_exclusive_group()

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from lss_motion.show.functions import Call
     from lss_motion.show.model import Cue
 
-ALLOW_HELP: Final = "call the Python functions of the show without the question"
 
 FILE_NAME: Final = "allowed_functions.json"
 

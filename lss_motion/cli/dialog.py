@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.show.model import Cue
 
-YES_HELP: Final = "move a real robot without the question; it is checked all the same"
 YES_KEYS: Final = "yY"
 NO_KEYS: Final = "nNqQ\r\n\x1b\x03\x04"
 """Enter alone means no, as the question shows."""

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import to_builtins
 
-from lss_motion.cli.commands import (
-    PORT_HELP,
-    add_command,
-    add_json,
-    add_robot,
-    print_json,
-    robot_at,
-)
+from lss_motion.cli.commands import add_command, print_json, robot_at
+from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
@@ -66,7 +60,7 @@ def add_to(commands: Commands) -> None:
     """Add the commands of this module."""
     doctor = add_command(commands, "doctor", _doctor, DESCRIPTION)
     add_robot(doctor, is_required=False)
-    doctor.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_options(doctor, "--port")
     doctor.add_argument(
         "--tone",
         nargs="?",
@@ -80,8 +74,8 @@ def add_to(commands: Commands) -> None:
     doctor.add_argument(
         "--trust-network", action="store_true", help="with --stage: the network needs no keys"
     )
-    add_json(doctor)
-    add_json(add_command(commands, "devices", _devices, DEVICES_TEXT))
+    add_options(doctor, "--json")
+    add_options(add_command(commands, "devices", _devices, DEVICES_TEXT), "--json")
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

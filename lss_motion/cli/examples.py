@@ -11,7 +11,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import add_command, add_force
+from lss_motion.cli.commands import add_command
+from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import FORCE_REMEDY, write_output
 from lss_motion.files.source import read_text
@@ -49,7 +50,7 @@ def add_to(commands: Commands) -> None:
         metavar="NAME",
         help="the example to write, such as wave (default: list all)",
     )
-    add_force(example)
+    add_options(example, "--force")
 
 
 def _example(arguments: argparse.Namespace) -> int:

@@ -5,15 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import (
-    TOLERANCE_MAX_DEG,
-    add_cache_option,
-    add_command,
-    add_force,
-    add_robot_options,
-    number_from,
-    reader,
-)
+from lss_motion.cli.commands import TOLERANCE_MAX_DEG, add_command, reader
+from lss_motion.cli.options import add_options, number_from
 from lss_motion.cli.voices import (
     LABEL_TEXT,
     SOUND_TEXT,
@@ -120,10 +113,8 @@ def _add_import(commands: Commands) -> None:
         metavar="FORMAT",
         help="one of the formats above (default: recognised by content)",
     )
-    imported.add_argument(
-        "--robot", type=Path, required=True, metavar="FILE", help="the robot that is to play it"
-    )
-    add_cache_option(imported)
+    add_options(imported, "--robot", required=True, help="the robot that is to play it")
+    add_options(imported, "--robot-cache")
     imported.add_argument(
         "--motion", metavar="NAME", help="which motion, if the file holds several"
     )
@@ -171,11 +162,11 @@ def _add_import(commands: Commands) -> None:
     add_sound_options(imported)
     add_label_options(imported)
     target = imported.add_mutually_exclusive_group(required=True)
-    target.add_argument("-o", "--output", type=Path, metavar="S.yaml", help="the sequence to write")
+    add_options(target, "--output", metavar="S.yaml", help="the sequence to write")
     target.add_argument(
         "--make-map", type=Path, metavar="M.yaml", help="write only a map file to begin with"
     )
-    add_force(imported)
+    add_options(imported, "--force")
 
 
 def _add_export(commands: Commands) -> None:
@@ -183,7 +174,7 @@ def _add_export(commands: Commands) -> None:
     exported.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence or a gait; for mcap a log"
     )
-    add_robot_options(exported)
+    add_options(exported, "--robot", "--robot-cache")
     exported.add_argument(
         "--to",
         choices=FORMATS_OUT,
@@ -197,10 +188,8 @@ def _add_export(commands: Commands) -> None:
         metavar="N",
         help="samples per second (default 100)",
     )
-    exported.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="F", help="the file to write"
-    )
-    add_force(exported)
+    add_options(exported, "--output", required=True, metavar="F", help="the file to write")
+    add_options(exported, "--force")
 
 
 def _import(arguments: argparse.Namespace) -> int:

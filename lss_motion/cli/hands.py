@@ -10,8 +10,9 @@ import sys
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import PORT_HELP, add_robot, robot_at
+from lss_motion.cli.commands import robot_at
 from lss_motion.cli.messages import ended_by, put
+from lss_motion.cli.options import add_options, add_robot
 from lss_motion.cli.terminal import Inputs
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.playing.player.events import Faulted, Phase, Warned
@@ -26,20 +27,15 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.hand import Hand
 
-HAND_HELP: Final = (
-    "simulated bus only: a simulated hand moves the limp joints, from a CSV file t_s,<joint>,... "
-    "or a seed"
-)
-
 
 def add_hands_arguments(command: argparse.ArgumentParser) -> None:
     """Add the arguments that `load` and `run_command` read."""
     add_robot(command, is_required=True)
-    command.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_options(command, "--port")
     command.add_argument(
         "--joints", nargs="+", metavar="NAME", help="only these joints or groups (default all)"
     )
-    command.add_argument("--hand", metavar="FILE|SEED", help=HAND_HELP)
+    add_options(command, "--hand")
 
 
 def load(arguments: argparse.Namespace) -> tuple[Robot, list[str]]:

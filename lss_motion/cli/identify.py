@@ -10,17 +10,9 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from lss_motion.cli.commands import (
-    PORT_HELP,
-    SEED_HELP,
-    SIMULATED_NOTE,
-    VIRTUAL_HELP,
-    add_command,
-    add_force,
-    require_joint,
-    robot_at,
-)
+from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
 from lss_motion.cli.messages import ended_by
+from lss_motion.cli.options import add_options
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -75,7 +67,7 @@ def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     added = add_command(commands, "identify", _identify, DESCRIPTION)
     added.add_argument("joints", nargs="*", metavar="JOINT", help="joints that are free to move")
-    added.add_argument("--robot", type=Path, required=True, metavar="FILE", help="the robot file")
+    add_options(added, "--robot", required=True, help="the robot file")
     added.add_argument(
         "--from",
         type=Path,
@@ -83,21 +75,18 @@ def add_to(commands: Commands) -> None:
         metavar="LOG",
         help="measure by the log of a show (lss-play --log); nothing moves",
     )
-    added.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_options(added, "--port")
     added.add_argument(
         "--span-deg",
         type=float,
         metavar="DEG",
         help="largest motion to either side (default 20)",
     )
-    added.add_argument("--yes", action="store_true", help="move without the question")
-    added.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="write a copy, not the robot file"
-    )
-    add_force(added)
+    add_options(added, "--yes", help="move without the question")
+    add_options(added, "--output", help="write a copy, not the robot file")
+    add_options(added, "--force")
     added.add_argument("--no-write", action="store_true", help="print the result, write nothing")
-    added.add_argument("--virtual", action="store_true", help=VIRTUAL_HELP)
-    added.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
+    add_options(added, "--virtual", "--seed")
 
 
 def _identify(arguments: argparse.Namespace) -> int:

@@ -8,16 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
-from lss_motion.cli.commands import (
-    PORT_HELP,
-    SIMULATED_NOTE,
-    add_command,
-    add_force,
-    add_robot,
-    number_from,
-    robot_at,
-)
+from lss_motion.cli.commands import SIMULATED_NOTE, add_command, robot_at
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options, add_robot, number_from
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.system.signals import exit_code
@@ -55,18 +48,12 @@ def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     monitor = add_command(commands, "monitor", _monitor, DESCRIPTION)
     add_robot(monitor, is_required=False)
-    monitor.add_argument("--port", metavar="URL", help=PORT_HELP)
-    monitor.add_argument(
-        "--baud",
-        type=int,
-        default=115200,
-        metavar="BPS",
-        help="baud rate without a robot file (default 115200)",
-    )
+    add_options(monitor, "--port")
+    add_options(monitor, "--baud", default=115200)
     monitor.add_argument(
         "--csv", type=Path, metavar="FILE", help="write every reading to this file"
     )
-    add_force(monitor)
+    add_options(monitor, "--force")
     seconds = number_from(0.0, 1e9, "seconds", is_above=True)
     monitor.add_argument(
         "--for", type=seconds, metavar="S", dest="for_s", help="end after S seconds"
@@ -88,7 +75,7 @@ def add_to(commands: Commands) -> None:
         metavar=("MIN", "MAX"),
         help="alarm outside these V (default 6 12.6)",
     )
-    monitor.add_argument("--quiet", action="store_true", help="do not beep")
+    add_options(monitor, "--quiet", help="do not beep")
 
 
 def _monitor(arguments: argparse.Namespace) -> int:

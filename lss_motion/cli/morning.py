@@ -6,7 +6,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command, add_force, add_json, print_json
+from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
@@ -34,8 +35,7 @@ def add_to(commands: Commands) -> None:
         help="from this time on, such as 2026-10-30 18:00 (default: the last 24 hours of the log)",
     )
     morning.add_argument("--html", type=Path, metavar="F.html", help="write a page with plots")
-    add_json(morning)
-    add_force(morning)
+    add_options(morning, "--json", "--force")
 
 
 def _morning(arguments: argparse.Namespace) -> int:

@@ -9,19 +9,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import (
-    PLOT_HELP,
-    add_all,
-    add_command,
-    add_force,
-    add_json,
-    add_robot_options,
-    number_from,
-    prepared,
-    print_json,
-    reader,
-)
+from lss_motion.cli.commands import add_command, prepared, print_json, reader
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
@@ -74,16 +64,12 @@ program starts without planning.
 """
 
 
-FOLLOW_HELP: Final = "with the headroom of a show that follows timecode (lss-play --follow)"
-
-
 def add_to(commands: Commands) -> None:
     """Add the commands of this module."""
     _add_check(commands)
     planned = add_command(commands, "plan", _plan, PLAN_TEXT)
     planned.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
-    add_robot_options(planned)
-    add_all(planned)
+    add_options(planned, "--robot", "--robot-cache", "--all")
     planned.add_argument(
         "--csv", type=Path, metavar="F", help="write this table: t_s,<joint>,... in degrees"
     )
@@ -94,23 +80,19 @@ def add_to(commands: Commands) -> None:
         metavar="N",
         help="rows of the table per second (default 100)",
     )
-    planned.add_argument("--plot", type=Path, metavar="F.png", help=PLOT_HELP)
+    add_options(planned, "--plot")
     planned.add_argument(
         "--truth",
         type=Path,
         metavar="F",
         help="also draw the true horn angles, from the file of lss-play --truth",
     )
-    add_force(planned)
+    add_options(planned, "--force")
     compiled = add_command(commands, "compile", _compile, COMPILE_TEXT)
     compiled.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
-    compiled.add_argument("--follow", action="store_true", help=FOLLOW_HELP)
-    add_robot_options(compiled)
-    compiled.add_argument(
-        "-o", "--output", type=Path, metavar="F.lss", help="the program to write (default: print)"
-    )
-    add_all(compiled)
-    add_force(compiled)
+    add_options(compiled, "--follow", "--robot", "--robot-cache")
+    add_options(compiled, "--output", metavar="F.lss", help="the program to write (default: print)")
+    add_options(compiled, "--all", "--force")
     schema = add_command(commands, "schema", _schema)
     schema.add_argument(
         "kind",
@@ -121,12 +103,9 @@ def add_to(commands: Commands) -> None:
     )
     gait = add_command(commands, "gait", _gait)
     gait.add_argument("file", type=Path, metavar="FILE", help="a gait file")
-    add_robot_options(gait)
-    gait.add_argument(
-        "-o", "--output", type=Path, metavar="S.yaml", help="write the keyframes as a sequence"
-    )
-    add_force(gait)
-    gait.add_argument("--plot", type=Path, metavar="F.png", help=PLOT_HELP)
+    add_options(gait, "--robot", "--robot-cache")
+    add_options(gait, "--output", metavar="S.yaml", help="write the keyframes as a sequence")
+    add_options(gait, "--force", "--plot")
 
 
 def _add_check(commands: Commands) -> None:
@@ -134,16 +113,14 @@ def _add_check(commands: Commands) -> None:
     check.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a program, a robot or a stage"
     )
-    add_robot_options(check)
-    check.add_argument("--follow", action="store_true", help=FOLLOW_HELP)
-    add_all(check)
+    add_options(check, "--robot", "--robot-cache", "--follow", "--all")
     check.add_argument(
         "--robust",
         action="store_true",
         help="also play the show on simulated robots that are worse than assumed; takes minutes "
         "for a long show with many joints",
     )
-    add_json(check)
+    add_options(check, "--json")
 
 
 def _files(arguments: argparse.Namespace) -> tuple[Path, Path | None, Callable[[Path], Robot]]:

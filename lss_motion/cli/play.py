@@ -9,26 +9,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.careful import CAREFUL_HELP, CAREFUL_RATE, Learning, careful_run
-from lss_motion.cli.commands import (
-    NO_FEEDBACK_HELP,
-    PORT_HELP,
-    QUIET_HELP,
-    REPORT_HELP,
-    SEED_HELP,
-    SIM_HELP,
-    UNLIMITED_HELP,
-    VIRTUAL_HELP,
-    add_all,
-    add_command,
-    add_robot_options,
-    add_version,
-    number_from,
-    prepared,
-)
-from lss_motion.cli.consent import ALLOW_HELP, may_call
-from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
+from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
+from lss_motion.cli.commands import add_command, add_version, prepared
+from lss_motion.cli.consent import may_call
+from lss_motion.cli.dialog import Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put
+from lss_motion.cli.options import OPTIONS, UNLIMITED_HELP, add_options, number_from
 from lss_motion.cli.sounds import offset_lines, unplayed_lines, with_kept_offset
 from lss_motion.cli.timecode import add_arguments as add_timecode_options
 from lss_motion.cli.timecode import opened as opened_timecode
@@ -112,8 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence or gait (.yaml), or a program (.lss)"
     )
-    parser.add_argument("--port", metavar="URL", help=PORT_HELP)
-    add_robot_options(parser)
+    add_options(parser, "--port", "--robot", "--robot-cache")
     parser.add_argument(
         "--speed",
         type=number_from(0.01, 100.0),
@@ -131,22 +116,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S|LABEL",
         help="start S seconds into the show, or at the first keyframe with this label",
     )
-    parser.add_argument("--no-feedback", action="store_true", help=NO_FEEDBACK_HELP)
-    parser.add_argument("--force", action="store_true", help=UNLIMITED_HELP)
+    add_options(parser, "--no-feedback")
+    add_options(parser, "--force", help=UNLIMITED_HELP)
     parser.add_argument(
         "--dry-run", action="store_true", help="plan, compile and check; move nothing"
     )
-    add_all(parser, "with --dry-run: ")
-    parser.add_argument("--virtual", action="store_true", help=VIRTUAL_HELP)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
-    parser.add_argument(
-        "--faults",
-        type=Path,
-        metavar="FILE",
-        help="simulated bus only: faults to simulate; `lss-motion sim --help` describes the file",
-    )
-    parser.add_argument("--sim", metavar="K=V,...|FILE", help=SIM_HELP)
-    parser.add_argument("--report", type=Path, metavar="FILE", help=REPORT_HELP)
+    add_options(parser, "--all", help=f"with --dry-run: {OPTIONS['--all']['help']}")
+    add_options(parser, "--virtual", "--seed", "--faults")
+    add_options(parser, "--sim")
+    add_options(parser, "--report")
     parser.add_argument(
         "--truth",
         type=Path,
@@ -159,11 +137,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write every byte with its instant; `lss-motion replay` reads it",
     )
-    parser.add_argument(
-        "--real-time",
-        action="store_true",
-        help="request real-time priority and locked memory, to be on time beside other programs",
-    )
+    add_options(parser, "--real-time")
     parser.add_argument(
         "--sound-device",
         default="",
@@ -172,10 +146,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-sound", action="store_true", help="play the show without its sounds")
     add_timecode_options(parser)
-    parser.add_argument("--quiet", action="store_true", help=QUIET_HELP)
-    parser.add_argument("--yes", action="store_true", help=YES_HELP)
-    parser.add_argument("--careful", action="store_true", help=CAREFUL_HELP.format(verb="play"))
-    parser.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
+    add_options(parser, "--quiet", "--yes")
+    add_options(parser, "--careful")
+    add_options(parser, "--allow-run")
 
 
 def play(arguments: argparse.Namespace) -> int:

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import (
-    PORT_HELP,
-    TOLERANCE_MAX_DEG,
-    add_command,
-    add_force,
-    number_from,
-    robot_at,
-)
-from lss_motion.cli.hands import HAND_HELP, HandsControls, chosen_joints, joint_lines, perform
+from lss_motion.cli.commands import TOLERANCE_MAX_DEG, add_command, robot_at
+from lss_motion.cli.hands import HandsControls, chosen_joints, joint_lines, perform
 from lss_motion.cli.messages import ended_by
+from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
 from lss_motion.playing.player.events import Phase
@@ -49,11 +42,9 @@ Recordings keep their times. Between poses the robot moves at its approach_speed
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     record = add_command(commands, "record", _record, DESCRIPTION)
-    record.add_argument("--robot", type=Path, required=True, metavar="FILE", help="the robot file")
-    record.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="S.yaml", help="the sequence to write"
-    )
-    record.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_options(record, "--robot", required=True, help="the robot file")
+    add_options(record, "--output", required=True, metavar="S.yaml", help="the sequence to write")
+    add_options(record, "--port")
     record.add_argument(
         "--joints",
         nargs="+",
@@ -76,11 +67,8 @@ def add_to(commands: Commands) -> None:
         metavar="DEG",
         help="largest deviation of the sequence from the recording (default 1)",
     )
-    add_force(record)
-    record.add_argument("--hand", metavar="FILE|SEED", help=HAND_HELP)
-    record.add_argument(
-        "--virtual", action="store_true", help="simulate in virtual time; needs --seconds"
-    )
+    add_options(record, "--force", "--hand")
+    add_options(record, "--virtual", help="simulate in virtual time; needs --seconds")
 
 
 def _record(arguments: argparse.Namespace) -> int:

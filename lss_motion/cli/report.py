@@ -12,7 +12,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import PLOT_HELP, add_command, add_force, add_json, print_json
+from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.options import OPTIONS, add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
@@ -41,11 +42,8 @@ def add_to(commands: Commands) -> None:
     report.add_argument(
         "reports", type=Path, nargs="+", metavar="FILE", help="one report, or two to compare"
     )
-    report.add_argument(
-        "--plot", type=Path, metavar="F.png", help=f"{PLOT_HELP}; for one report only"
-    )
-    add_json(report)
-    add_force(report)
+    add_options(report, "--plot", help=f"{OPTIONS['--plot']['help']}; for one report only")
+    add_options(report, "--json", "--force")
 
 
 def _report(arguments: argparse.Namespace) -> int:

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion.cli.commands import (
-    SIMULATED_NOTE,
-    add_command,
-    add_force,
-    add_json,
-    print_json,
-    require_baud,
-    robot_at,
-)
+from lss_motion.cli.commands import SIMULATED_NOTE, add_command, print_json, require_baud, robot_at
+from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.maintenance.survey import survey, unreadable
@@ -25,6 +17,7 @@ from lss_motion.maintenance.survey import survey, unreadable
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
+    from pathlib import Path
 
     from lss_motion.cli.commands import Commands
     from lss_motion.playing.connection import Connection
@@ -51,15 +44,10 @@ def add_to(commands: Commands) -> None:
     scan.add_argument(
         "port", nargs="?", metavar="PORT", help="serial device or URL (default: the only USB port)"
     )
-    scan.add_argument("--robot", type=Path, metavar="FILE", help="compare with this robot file")
-    scan.add_argument(
-        "--baud", type=int, metavar="BPS", help="try only this baud rate (default: all)"
-    )
-    scan.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="write a robot file to begin with"
-    )
-    add_force(scan)
-    add_json(scan)
+    add_options(scan, "--robot", help="compare with this robot file")
+    add_options(scan, "--baud", help="try only this baud rate (default: all)")
+    add_options(scan, "--output", help="write a robot file to begin with")
+    add_options(scan, "--force", "--json")
 
 
 def _scan(arguments: argparse.Namespace) -> int:

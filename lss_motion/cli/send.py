@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from lss_motion.cli.commands import PORT_HELP, add_command, robot_at
+from lss_motion.cli.commands import add_command, robot_at
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 
 if TYPE_CHECKING:
@@ -50,20 +50,11 @@ WITH_VALUE: Final = re.compile(r"([A-Za-z]+)(-?[0-9]+)")
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     send = add_command(commands, "send", _send, DESCRIPTION)
-    send.add_argument("--port", metavar="URL", help=PORT_HELP)
-    send.add_argument(
-        "--robot",
-        type=Path,
-        metavar="FILE",
-        help="the robot file; its servos are simulated if the port is sim://",
+    add_options(send, "--port")
+    add_options(
+        send, "--robot", help="the robot file; its servos are simulated if the port is sim://"
     )
-    send.add_argument(
-        "--baud",
-        type=int,
-        default=115200,
-        metavar="BPS",
-        help="baud rate without a robot file (default 115200)",
-    )
+    add_options(send, "--baud", default=115200)
     send.add_argument(
         "--firmware",
         type=int,
@@ -79,10 +70,10 @@ def add_to(commands: Commands) -> None:
         "--id", type=int, required=True, metavar="N", dest="servo_id", help="id of the servo"
     )
     send.add_argument("--raw", action="store_true", help="send the words unchanged")
-    send.add_argument("--yes", action="store_true", help="send without the question")
-    send.add_argument(
+    add_options(send, "--yes", help="send without the question")
+    add_options(
+        send,
         "--force",
-        action="store_true",
         help="also send what leaves the limits of the joint, or changes every servo",
     )
     send.add_argument(

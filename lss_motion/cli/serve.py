@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli import served
-from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
-from lss_motion.cli.consent import ALLOW_HELP
+from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -63,8 +63,7 @@ def add_to(commands: Commands) -> None:
         DESCRIPTION,
     )
     serve.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
-    serve.add_argument("--port", metavar="URL", help=PORT_HELP)
-    add_robot_options(serve)
+    add_options(serve, "--port", "--robot", "--robot-cache")
     serve.add_argument(
         "--wait-port",
         action="store_true",
@@ -77,13 +76,14 @@ def add_to(commands: Commands) -> None:
         metavar="TIME",
         help="begin at this time of day or date, such as 18:30 or 2026-10-31T18:30",
     )
-    serve.add_argument(
-        "--real-time",
-        action="store_true",
-        help="request real-time priority and locked memory, to be on time beside other programs",
+    add_options(serve, "--real-time")
+    add_options(
+        serve,
+        "--on-operator-lost",
+        help="what a show does when its operator is gone (default go_on)",
     )
-    served.add_on_operator_lost(serve, "operator is")
-    served.add_tls(serve, "serve with TLS")
+    add_options(serve, "--tls-certificate", help="serve with TLS")
+    add_options(serve, "--tls-key")
     serve.add_argument(
         "--new-token", action="store_true", help="make a new token; the old one opens nothing more"
     )
@@ -99,8 +99,7 @@ def add_to(commands: Commands) -> None:
         action="store_true",
         help="with --figure: use an address that others can reach without keys",
     )
-    serve.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
-    add_json(serve)
+    add_options(serve, "--allow-run", "--json")
 
 
 def _instant(text: str) -> datetime:

@@ -1,10 +1,9 @@
-"""What `studio` and `serve` share: the options of their server, and what they print of it."""
+"""What `studio` and `serve` share: the files of TLS, and what they print of their server."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.cli.messages import put
@@ -13,6 +12,7 @@ from lss_motion.errors import InputError, install_command
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
+    from pathlib import Path
 
     from lss_motion.studio.studio import Studio
 
@@ -35,12 +35,6 @@ class Tls(NamedTuple):
     key: str | None
 
 
-def add_tls(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options of TLS; `what` is served with it."""
-    parser.add_argument("--tls-certificate", type=Path, metavar="F.pem", help=what)
-    parser.add_argument("--tls-key", type=Path, metavar="F.pem", help="the key of the certificate")
-
-
 def tls_of(arguments: argparse.Namespace) -> Tls:
     """Return the files of TLS; raises `InputError` for one alone, or one that cannot be read."""
     from lss_motion.files.source import read_data
@@ -52,16 +46,6 @@ def tls_of(arguments: argparse.Namespace) -> Tls:
         if path is not None:
             read_data(path)
     return Tls(*(None if path is None else str(path) for path in paths))
-
-
-def add_on_operator_lost(parser: argparse.ArgumentParser, who: str) -> None:
-    """Add the option about what a show does when `who` is gone."""
-    parser.add_argument(
-        "--on-operator-lost",
-        choices=("stop", "hold", "go_on"),
-        default="go_on",
-        help=f"what a show does when its {who} gone (default go_on)",
-    )
 
 
 def addresses_json(studio: Studio) -> dict[str, object]:

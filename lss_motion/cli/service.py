@@ -11,9 +11,9 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import PORT_HELP, add_command
-from lss_motion.cli.consent import ALLOW_HELP
+from lss_motion.cli.commands import add_command
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
@@ -50,8 +50,7 @@ def add_to(commands: Commands) -> None:
     )
     service.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
     service.add_argument("--user", metavar="NAME", help="the user that runs the stage")
-    service.add_argument("--port", metavar="URL", help=PORT_HELP)
-    service.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
+    add_options(service, "--port", "--allow-run")
     service.add_argument(
         "--print", action="store_true", dest="is_shown", help="print the unit; change nothing"
     )

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import SEED_HELP, add_command, add_robot
+from lss_motion.cli.commands import add_command
 from lss_motion.cli.messages import ended_by
+from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,11 +43,11 @@ def add_to(commands: Commands) -> None:
     sim.add_argument(
         "--link", type=Path, metavar="PATH", help="make a symbolic link with this path to the port"
     )
-    sim.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
-    sim.add_argument("--faults", type=Path, metavar="FILE", help="faults to simulate; see below")
-    sim.add_argument(
+    add_options(sim, "--seed")
+    add_options(sim, "--faults", help="faults to simulate; see below")
+    add_options(
+        sim,
         "--hand",
-        metavar="FILE|SEED",
         help="a simulated hand moves the limp joints from power-up on: a CSV file t_s,<joint>,... "
         "or a seed",
     )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command, add_json, print_json
+from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def add_to(commands: Commands) -> None:
         help="where the keys are written (default: the folder that the stage names, or else keys "
         "beside its file)",
     )
-    add_json(keys)
+    add_options(keys, "--json")
 
 
 def _keys(arguments: argparse.Namespace) -> int:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli import served
-from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
-from lss_motion.cli.consent import ALLOW_HELP
+from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import put
+from lss_motion.cli.options import add_options
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -40,19 +40,22 @@ def add_to(commands: Commands) -> None:
     studio.add_argument(
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a play list or a robot (.yaml)"
     )
-    studio.add_argument("--port", metavar="URL", help=PORT_HELP)
-    add_robot_options(studio)
+    add_options(studio, "--port", "--robot", "--robot-cache")
     studio.add_argument(
         "--listen",
         default="",
         metavar="ADDRESS[:PORT]",
         help="serve this address of the computer, too; :PORT alone sets the port (default: any)",
     )
-    served.add_tls(studio, "serve that address with TLS")
-    served.add_on_operator_lost(studio, "operator, or the server, is")
+    add_options(studio, "--tls-certificate", help="serve that address with TLS")
+    add_options(studio, "--tls-key")
+    add_options(
+        studio,
+        "--on-operator-lost",
+        help="what a show does when its operator, or the server, is gone (default go_on)",
+    )
     studio.add_argument("--no-browser", action="store_true", help="print the address only")
-    studio.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
-    add_json(studio)
+    add_options(studio, "--allow-run", "--json")
 
 
 def _studio(arguments: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import number_from
+from lss_motion.cli.options import number_from
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import number_from
+from lss_motion.cli.options import number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.source import counted
 

@@ -9,21 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion.cli.careful import CAREFUL_HELP, CAREFUL_RATE, Learning, careful_run
-from lss_motion.cli.commands import (
-    NO_FEEDBACK_HELP,
-    PORT_HELP,
-    QUIET_HELP,
-    REPORT_HELP,
-    SEED_HELP,
-    UNLIMITED_HELP,
-    add_command,
-    add_robot_options,
-    number_from,
-    reader,
-)
-from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
+from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
+from lss_motion.cli.commands import add_command, reader
+from lss_motion.cli.dialog import Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, put
+from lss_motion.cli.options import OPTIONS, UNLIMITED_HELP, add_options, number_from
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
@@ -80,8 +70,7 @@ def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     walk = add_command(commands, "walk", _walk, DESCRIPTION)
     walk.add_argument("file", type=Path, metavar="GAIT", help="a gait file")
-    add_robot_options(walk)
-    walk.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_options(walk, "--robot", "--robot-cache", "--port")
     for name, unit, help_text in (
         ("forward", "mm-s", "largest speed forward and back"),
         ("left", "mm-s", "largest speed sideways"),
@@ -96,13 +85,12 @@ def add_to(commands: Commands) -> None:
     walk.add_argument(
         "--gamepad", type=Path, metavar="DEVICE", help="steer with it, such as /dev/input/js0"
     )
-    walk.add_argument("--no-feedback", action="store_true", help=NO_FEEDBACK_HELP)
-    walk.add_argument("--force", action="store_true", help=UNLIMITED_HELP)
-    walk.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
-    walk.add_argument("--report", type=Path, metavar="FILE", help=REPORT_HELP)
-    walk.add_argument("--quiet", action="store_true", help=QUIET_HELP)
-    walk.add_argument("--yes", action="store_true", help=YES_HELP)
-    walk.add_argument("--careful", action="store_true", help=CAREFUL_HELP.format(verb="walk"))
+    add_options(walk, "--no-feedback")
+    add_options(walk, "--force", help=UNLIMITED_HELP)
+    add_options(walk, "--seed", "--report", "--quiet", "--yes")
+    add_options(
+        walk, "--careful", help=OPTIONS["--careful"]["help"].replace("then play", "then walk")
+    )
     walk.set_defaults(virtual=False)  # A person steers it.
 
 
