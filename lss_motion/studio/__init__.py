@@ -20,6 +20,7 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `view`        | a planned show as JSON, for the timeline of the pages      | `planner`          |
 | `view_curves` | angles over time as few cubics, within what an eye sees    | `view`             |
 | `playing`     | the server's end of the process that plays                 | `desk`             |
+| `latch`       | the stop that is kept: `stop` writes it, the server reads  | `stopping`, `stop` |
 | `stopping`    | the server's end of the process that only stops            | `studio`           |
 | `stop`        | the process that only stops                                | `stopping`         |
 | `web`         | listening sockets, and uvicorn as both servers use it      | `server`, `stop`   |

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from lss_motion.playing.remote.player_end import OnLost
     from lss_motion.studio.document import Document
     from lss_motion.studio.hub import Hub
+    from lss_motion.studio.latch import StopKind
     from lss_motion.studio.planner import Reply
-    from lss_motion.studio.stop import StopKind
     from lss_motion.studio.stopping import StopProcess
 
 MAINTENANCE: Final = "maintenance"
@@ -77,6 +77,8 @@ class Desk:
         self._robot = m.RobotChanged(
             state="off", port="", is_simulated=False, joints={}, text=""
         ).model_dump_json()
+        self._noted: StopKind | None = None
+        """The stop that is kept, as clients were told."""
         self._kept: dict[str, str] = {}
         self._notes: deque[str] = deque(maxlen=NOTES_MAX)
         self.watch: Callable[[dict[str, Any]], None] = lambda _: None
@@ -106,17 +108,23 @@ class Desk:
         kind: StopKind = "estop" if is_emergency else "stop"
         if self._player is not None:
             self._player.send(m.Estop() if is_emergency else m.Stop())
-        self._stops.latch(kind)
-        self.note_latch(kind)
+        self._stops.stop(kind)
+        self.note_latch()
 
-    def note_latch(self, kind: StopKind) -> None:
-        """Note a stop that another way has carried out."""
-        word = "emergency stop" if kind == "estop" else "stop"
+    def note_latch(self) -> None:
+        """Tell the clients the stop that is kept, whichever way it came, or that none is."""
+        before, self._noted = self._noted, self._stops.latch
+        if self._noted == before:
+            return  # The process has done what was asked for here.
+        if self._noted is None:
+            self._change(text="")
+            return
+        word = "emergency stop" if self._noted == "estop" else "stop"
         text = f"{word}: nothing moves before it is armed again"
         self._next = None
         is_show = self._player is not None and self._task == "show"
         state = "stopping" if is_show else self._state.state
-        self._change(state=state, is_latched=True, text=text)
+        self._change(state=state, text=text)
 
     def obey(self, operation: m.AnyOperation, key: int) -> bool:
         """Carry an operation out; see `hub.Desk`."""
@@ -161,7 +169,7 @@ class Desk:
     @property
     def is_latched(self) -> bool:
         """Whether it was stopped, and is not armed again."""
-        return self._state.is_latched
+        return self._stops.latch is not None
 
     def start(self) -> None:
         """Start the show or stage; raises `LssMotionError` that says why that is not possible."""
@@ -259,7 +267,7 @@ class Desk:
         if self._player is not None:
             raise InputError("the robot is being stopped; wait until it has ended")
         self._stops.rearm()
-        self._change(is_latched=False, text="")
+        self.note_latch()
 
     # ---- the robot without a show
 
@@ -312,7 +320,7 @@ class Desk:
         return False
 
     def _require_armed(self) -> None:
-        if self._state.is_latched:
+        if self.is_latched:
             raise InputError("it was stopped; arm it again first (rearm)")
 
     def _require_free(self) -> None:
@@ -397,7 +405,7 @@ class Desk:
         begin, self._next = self._next, None
         if self._task == "show":
             # A stop that is kept goes on saying what it was, and that it is kept.
-            usual = self._state.text if self._state.is_latched else self._outcome
+            usual = self._state.text if self.is_latched else self._outcome
             self._change(**{**self._end_state, "text": self._end_state["text"] or usual})
         self._tell_robot("off", self._end_text)
         if begin is not None:
@@ -410,7 +418,7 @@ class Desk:
     # ---- state
 
     def _change(self, **fields: object) -> None:
-        changed = self._state.model_copy(update=fields)
+        changed = self._state.model_copy(update={"is_latched": self.is_latched, **fields})
         if changed != self._state:
             self._state = changed
             self._hub.broadcast(changed)

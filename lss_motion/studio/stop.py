@@ -1,29 +1,28 @@
-"""The process that only stops. Its words are the file numbers on which it listens.
+"""The process that only stops. Its words are the file numbers of the latch, and of its ports.
 
 It has its own ports, knows the token, and has a link of its own to each player. So a stop arrives
 where the server hangs, stands still or was killed. It lives until the server and the last player
-have ended. A stop is kept until the server sends `rearm`: a player that starts meanwhile is stopped
-at once.
+have ended. It owns the latch: no other process writes that. A stop is kept until the server sends
+`Rearm`, and a player that starts meanwhile is stopped at once.
 
-The server sends a `StopOrder`, first the settings; it gets a `Latch` for each stop.
+The server sends a `StopOrder`, first the settings; it gets `Latched` whenever that was written.
 """
 
 from __future__ import annotations
 
 import asyncio
 import socket
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
 from lss_motion.playing.remote.schema import Estop, Stop
 from lss_motion.studio.access import Denied, Door, Purpose, asked_of, decide
+from lss_motion.studio.latch import Latch, StopKind
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError, TypedPipe
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
-
-StopKind = Literal["stop", "estop"]
 
 
 class StopSettings(Struct, frozen=True, tag=True):
@@ -46,8 +45,8 @@ class NewPlayer(Struct, frozen=True, tag=True):
     """A player starts; the end of its link for stops comes with this."""
 
 
-class Latch(Struct, frozen=True, tag=True):
-    """A stop is kept."""
+class StopPlayers(Struct, frozen=True, tag=True):
+    """Stop every player, and keep that."""
 
     kind: StopKind
 
@@ -56,14 +55,20 @@ class Rearm(Struct, frozen=True, tag=True):
     """Players may start again."""
 
 
-StopOrder = StopSettings | NewPlayer | Latch | Rearm
+class Latched(Struct, frozen=True, tag=True):
+    """The latch was written: this is kept."""
+
+    kind: StopKind | None
+
+
+StopOrder = StopSettings | NewPlayer | StopPlayers | Rearm
 
 
 class Stopper:
     """The players' links, and the stop that is kept until it is armed again."""
 
-    def __init__(self, control: MessagePipe, on_end: Callable[[], None]) -> None:
-        self.latch: StopKind | None = None
+    def __init__(self, control: MessagePipe, latch: Latch, on_end: Callable[[], None]) -> None:
+        self.latch = latch
         self.settings: StopSettings | None = None
         self.has_settings = asyncio.Event()
         control.set_blocking(is_blocking=False)
@@ -75,11 +80,10 @@ class Stopper:
 
     def stop(self, kind: StopKind) -> None:
         """Stop every player, and those that start before `rearm`; tell the server."""
-        if self.latch != "estop":
-            self.latch = kind
+        self.latch.keep(kind)
         for link in self._links:
             _send(link, kind)
-        self._control.send(Latch(kind))
+        self._control.send(Latched(self.latch.kind))
 
     def _read(self) -> None:
         """Take what the server sent; it may have ended."""
@@ -99,18 +103,19 @@ class Stopper:
                 filenos = self._control.pipe.filenos
                 if filenos:
                     self._take(socket.socket(fileno=filenos.popleft()))
-            case Latch():
-                self.latch = order.kind
+            case StopPlayers():
+                self.stop(order.kind)
             case Rearm():
-                self.latch = None
+                self.latch.clear()
+                self._control.send(Latched(None))
 
     def _take(self, end: socket.socket) -> None:
         end.setblocking(False)  # noqa: FBT003
         link = MessagePipe(end)
         self._links.append(link)
         asyncio.get_running_loop().add_reader(link.fileno(), self._watch, link)
-        if self.latch is not None:
-            _send(link, self.latch)
+        if (kind := self.latch.kind) is not None:
+            _send(link, kind)
 
     def _watch(self, link: MessagePipe) -> None:
         """Drop the link of a player that has ended."""
@@ -167,7 +172,7 @@ class StopPages:
         return 204, ""
 
 
-async def serve(control: MessagePipe, listening: list[socket.socket]) -> None:
+async def serve(control: MessagePipe, latch: Latch, listening: list[socket.socket]) -> None:
     """Serve until the server and the last player have ended."""
     from lss_motion.studio.web import LOOPBACK, Server, make_server
 
@@ -177,7 +182,7 @@ async def serve(control: MessagePipe, listening: list[socket.socket]) -> None:
         for server in servers:
             server.should_exit = True
 
-    stopper = Stopper(control, end)
+    stopper = Stopper(control, latch, end)
     await stopper.has_settings.wait()
     settings = stopper.settings
     assert settings is not None
@@ -195,10 +200,11 @@ async def serve(control: MessagePipe, listening: list[socket.socket]) -> None:
     )
 
 
-def main(control: MessagePipe, *words: str) -> int:
+def main(control: MessagePipe, memory: str, *words: str) -> int:
     """Serve until the server and the last player have ended; return an exit code.
 
     The server ends it, and it outlives the server: signals do nothing (`reactor.begin`).
     """
-    asyncio.run(serve(control, [socket.socket(fileno=int(word)) for word in words]))
+    listening = [socket.socket(fileno=int(word)) for word in words]
+    asyncio.run(serve(control, Latch(int(memory)), listening))
     return 0

@@ -23,13 +23,15 @@ class Stops:
     """Stands for the process that only stops."""
 
     def __init__(self):
-        self.done, self.on_latch = [], None
+        self.done, self.on_latch, self.latch = [], None, None
 
-    def latch(self, kind):
+    def stop(self, kind):
         self.done.append(kind)
+        self.latch = kind
 
     def rearm(self):
         self.done.append("rearm")
+        self.latch = None
 
 
 class Player:
@@ -164,7 +166,9 @@ def test_a_stop_is_kept_until_it_is_armed_again(stage):
         assert "rearm" in stage.ask(op)
     assert stage.ask("rearm") == "accepted"
     assert stage.ask("play") == "accepted"
-    stage.stops.on_latch("stop")  # Carried out by the process that only stops.
+    stage.stops.latch = "stop"  # By the process that only stops.
+    assert "rearm" in stage.ask("connect")
+    stage.stops.on_latch()
     assert stage.last("player")["is_latched"]
 
 
