@@ -17,7 +17,7 @@ import numpy as np
 from benches.horn import driven_horns, keyframe_writes, sample_writes
 from benches.shows import lively_show, robot_of
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
+from lss_motion.playing.run import perform
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

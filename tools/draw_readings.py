@@ -16,8 +16,8 @@ import numpy as np
 
 from benches.shows import lively_show, robot_of
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
 from lss_motion.playing.player.query_choice import BY_NEED, Pace
+from lss_motion.playing.run import perform
 from lss_motion.sim.deviation import Deviation
 
 PICTURE: Final = Path(__file__).resolve().parent.parent / "sequences" / "pictures" / "readings.png"

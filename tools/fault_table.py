@@ -37,9 +37,9 @@ from lss_motion.maintenance.careful import CarefulRun
 from lss_motion.maintenance.careful_legs import way_of
 from lss_motion.playing import api
 from lss_motion.playing.connection import connect
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.events import Faulted, Warned
+from lss_motion.playing.run import Observer, perform
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import TICK_NS
 from lss_motion.system.clock import VirtualClock
@@ -48,8 +48,8 @@ from lss_motion.units import s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.playing.perform import Result
     from lss_motion.playing.player.events import Event
+    from lss_motion.playing.run import Result
     from lss_motion.robot.model import Joint, Robot
 
     Rows = Callable[[Joint, float], list[Fault]]

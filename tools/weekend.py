@@ -33,7 +33,7 @@ from msgspec.structs import replace
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from lss_motion.playing import stage_run
+from lss_motion.playing import run as playing_run
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import SENSOR_NAMES
 from lss_motion.stage.check import plan_stage
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.run import Result
+    from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
 
@@ -141,7 +143,7 @@ class Judge:
                 if speed_deg_s > SPEED_SLACK_RATIO * self.speeds_deg_s[index]:
                     self.objections[f"horn {index} moves too fast"] += 1
 
-    def end(self, result: stage_run.StageResult, _began_ns: int) -> None:
+    def end(self, result: Result[StageReport], _began_ns: int) -> None:
         """Judge the last bytes of a run."""
         self.runs += 1
         is_gone = result.report.outcome == "lost"  # No byte reaches a port that is gone.
@@ -387,7 +389,7 @@ class watched:  # noqa: N801  (a context manager)
     """Lets a judge see the simulated bus of each run."""
 
     def __init__(self, judge: Judge) -> None:
-        self._judge, self._connect = judge, stage_run.connect
+        self._judge, self._connect = judge, playing_run.connect
 
     def __enter__(self) -> None:
         def connect(*given: Any, **more: Any) -> Any:  # noqa: ANN401
@@ -395,10 +397,10 @@ class watched:  # noqa: N801  (a context manager)
             self._judge.watch(next(iter(connection.simulated.values())))
             return connection
 
-        stage_run.connect = connect
+        playing_run.connect = connect
 
     def __exit__(self, *_: object) -> None:
-        stage_run.connect = self._connect
+        playing_run.connect = self._connect
 
 
 def count_triggers(run: StageRun) -> Counter[str]:

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from lss_motion.errors import LssMotionError
     from lss_motion.planning.shows import Show
     from lss_motion.playing.log import PlayedShow
-    from lss_motion.playing.perform import Result
+    from lss_motion.playing.report import Report
+    from lss_motion.playing.run import Result
     from lss_motion.robot.model import Robot
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
@@ -300,13 +301,13 @@ def _perform(
     *,
     is_asked: bool,
     offer: str,
-) -> tuple[Result, bool]:
+) -> tuple[Result[Report], bool]:
     """Play; return the result, and whether a person took the `offer` of a careful run.
 
     Add to `problems` why the log is not complete, if it is not.
     """
     from lss_motion.cli.terminal import LoggedControls
-    from lss_motion.playing.perform import Observer, perform
+    from lss_motion.playing.run import Observer, perform
 
     with contextlib.ExitStack() as stack:
         display = None
@@ -389,7 +390,7 @@ def _deviation(arguments: argparse.Namespace, robot: Robot) -> Deviation | None:
     return read_deviation(arguments.sim, robot)
 
 
-def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
+def _write_results(arguments: argparse.Namespace, result: Result[Report]) -> list[str]:
     """Write report and truth; return what could not be written, since the show was played."""
     from lss_motion.playing.report import write_report
     from lss_motion.playing.truth import write_truth
@@ -402,7 +403,7 @@ def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
     return problems
 
 
-def _explained(error: LssMotionError, result: Result) -> LssMotionError:
+def _explained(error: LssMotionError, result: Result[Report]) -> LssMotionError:
     """Return the error that ended a run; for a lost port, with the state of robot and show."""
     if not isinstance(error, LostPortError) or not result.player.safe_bytes():
         return error
@@ -416,7 +417,7 @@ def _explained(error: LssMotionError, result: Result) -> LssMotionError:
     return LostPortError(text, url=error.url)
 
 
-def _exit_code(result: Result, terminal: Terminal) -> int:
+def _exit_code(result: Result[Report], terminal: Terminal) -> int:
     """Return the exit code of a show; print the fault that ended it early."""
     match result.report.outcome:
         case "stopped":

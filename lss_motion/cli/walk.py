@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
-    from lss_motion.playing.perform import Result
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.report import Report
+    from lss_motion.playing.run import Result
     from lss_motion.playing.walking.inputs import Gamepad, OperatorInput
     from lss_motion.playing.walking.pilot import Pilot
     from lss_motion.playing.walking.process import PlannerProcess
@@ -172,7 +173,7 @@ def _walked(
         return _exit_code(result, terminal) or (EXIT_INPUT if problems else EXIT_FINISHED)
 
 
-def _exit_code(result: Result, terminal: Terminal) -> int:
+def _exit_code(result: Result[Report], terminal: Terminal) -> int:
     match result.report.outcome:
         case "stopped":
             return ended_by(terminal.signal_number)
@@ -272,11 +273,11 @@ def _perform(
     steered: tuple[OperatorInput, Terminal],
     print_line: Callable[[str], None],
     asking: tuple[bool, str],
-) -> tuple[Result, Pilot] | None:
+) -> tuple[Result[Report], Pilot] | None:
     """Walk; `asking`: whether to ask before, and what to offer. None: that was taken."""
     from lss_motion.cli.display import Display
     from lss_motion.planning.shows import GAIT_TOLERANCE_DEG
-    from lss_motion.playing.perform import Observer, perform
+    from lss_motion.playing.run import Observer, perform
     from lss_motion.playing.walking.inputs import Gamepad
     from lss_motion.playing.walking.pilot import Pilot
     from lss_motion.playing.walking.planner import WalkPlanner

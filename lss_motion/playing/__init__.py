@@ -6,22 +6,21 @@
 | `remote/`           | the process that plays; its messages           | `stage`, `studio`, `api` |
 | `walking/`          | a gait that is steered while playing           | `cli.walk`               |
 | `api.py`            | `lss.load_robot`, `lss.play`, …                | users                    |
-| `perform.py`        | one show on open ports                         | `api`, `cli`, `remote`   |
-| `stage_run.py`      | the shows of a stage on open ports             | `stage`                  |
+| `run.py`            | one run, of a show or of many, on open ports   | `api`, `cli`, `stage`    |
 | `live.py`           | `lss.connect`: a robot without a show          | users, `remote`          |
-| `connection.py`     | the open ports of a robot                      | `perform`, `live`, `cli` |
+| `connection.py`     | the open ports of a robot                      | `run`, `live`, `cli`     |
 | `discovery.py`      | which servos are on a bus, and their condition | `connection`, `cli`      |
 | `stored_limits.py`  | limits that a robot file leaves to its servos  | `connection`, `live`     |
 | `hands_on.py`       | joints moved by hand: limp, held, read         | `live`, `cli`            |
-| `runner.py`         | the loop; threads, processes and waits         | `perform`, `connection`  |
-| `performer.py`      | functions and sounds of a show: the pipes      | `perform`                |
+| `runner.py`         | the loop; threads, processes and waits         | `run`, `connection`      |
+| `performer.py`      | functions and sounds of a show: the pipes      | `run`                    |
 | `performer_process` | the process that calls and plays them          | `performer`              |
-| `sounds.py`         | sounds of a show on an open stream             | `perform`                |
-| `sound_choice.py`   | device and offset; what came of the sounds     | `perform`, `cli`         |
+| `sounds.py`         | sounds of a show on an open stream             | `run`                    |
+| `sound_choice.py`   | device and offset; what came of the sounds     | `run`, `cli`             |
 | `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |
 | `replay.py`         | repeats the player's decisions from a log      | `cli.replay`             |
-| `report.py`         | the JSON report of a run                       | `perform`, `cli`         |
-| `stage_report.py`   | the report of a stage                          | `stage_run`              |
-| `truth.py`          | what simulated horns did                       | `perform`                |
+| `report.py`         | the JSON report of a run                       | `run`, `cli`             |
+| `stage_report.py`   | the report of a stage                          | `run`                    |
+| `truth.py`          | what simulated horns did                       | `run`                    |
 | `robustness.py`     | shows played with deviations                   | `cli.planning`           |
 """

@@ -10,8 +10,8 @@ from lss_motion.planning.program.compile import compile_program as compile  # no
 from lss_motion.planning.program.model import Program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import ask_limits, is_simulated, with_port
-from lss_motion.playing.perform import perform
 from lss_motion.playing.report import Report
+from lss_motion.playing.run import perform
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Robot
 from lss_motion.show import load as sequences

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 
 from lss_motion.files.source import counted
 from lss_motion.playing.connection import SIMULATED, with_port
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.report import planned_horn_deg
+from lss_motion.playing.run import Observer, perform
 from lss_motion.playing.truth import TRUTH_STEP_S
 from lss_motion.sim.deviation import Deviation, deviation_from_text
 from lss_motion.units import NS_PER_MS, NS_PER_S
@@ -29,9 +29,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.planning.shows import Show
-    from lss_motion.playing.perform import Result
     from lss_motion.playing.player.events import Faulted
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.report import Report
+    from lss_motion.playing.run import Result
 
     FloatArray = NDArray[np.float64]
     BoolArray = NDArray[np.bool_]
@@ -183,7 +184,7 @@ class _Run:
         self._show, self._text, self._until_s = show, text, until_s
         self._deviation: Deviation = deviation_from_text(text)
         self._watch = _Watch(until_s, is_cut=until_s < show.program.duration_s)
-        self._result: Result = perform(
+        self._result: Result[Report] = perform(
             show.program,
             self._show.robot,
             is_virtual=True,

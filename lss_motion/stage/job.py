@@ -18,9 +18,9 @@ from msgspec import Struct, field
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
-from lss_motion.playing.player.events import ShowBegan
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.job import Outcome
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog
@@ -32,10 +32,8 @@ from lss_motion.stage.stage_timecode import OwnSource, spec_of
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.remote.operator_end import Operator
-    from lss_motion.playing.stage_report import StageReport
     from lss_motion.stage.check import Planned
     from lss_motion.stage.director import Director
     from lss_motion.stage.model import Stage
@@ -48,25 +46,18 @@ STATE_NS: Final = NS_PER_S
 """The state is sent this often, and after each note."""
 
 
-class StageOutcome(Struct, frozen=True):
-    """How a stage ended: with the report of its last run, unless none could begin."""
-
-    report: StageReport | None
-    error: LssMotionError | None
-
-
 class StageJob(Struct, frozen=True, kw_only=True):
     """A planned stage, and how it is run.
 
     `options` are fields of `running.Options`, `start_at` as an ISO text, and `log_folder`; others
-    are those of `playing.stage_run.perform_stage`.
+    are those of `playing.run.RunOptions`.
     """
 
     planned: Planned
     rule: LossRule = field(default_factory=LossRule)
     options: dict[str, Any] = field(default_factory=dict)
 
-    def run(self, operator: Operator) -> StageOutcome:
+    def run(self, operator: Operator) -> Outcome:
         """Play the stage with this client as its operator; send the first and the last event."""
         steering = StageSteering(operator, self.rule)
         options, folder = options_of(self.options)
@@ -94,15 +85,9 @@ class StageJob(Struct, frozen=True, kw_only=True):
                 report, error = None if end.last is None else end.last.report, end.error
             except LssMotionError as refused:
                 report, error = None, refused
-        steering.end(
-            m.Ended(
-                outcome="fault" if report is None else report.outcome,
-                error=None if error is None else str(error),
-                report=None if report is None else report.to_dict(),
-                exit_code=None if error is None else error.exit_code,
-            )
-        )
-        return StageOutcome(report, error)
+        outcome = Outcome(report, error)
+        steering.end(outcome.message)
+        return outcome
 
 
 def stage_job(planned: Planned, *, seed: int | None = None) -> StageJob:
@@ -186,7 +171,6 @@ class StageSteering(Steering):
         self._run: Directed | None = None
         self._own: StageRun | None = None
         """The same, if it is a stage with one robot."""
-        self._hashes: dict[str, str] = {}
         self._stated_ns = 0
         self._has_news = True
 
@@ -205,7 +189,7 @@ class StageSteering(Steering):
         from lss_motion.playing.connection import is_simulated
 
         self._run = self._own = run
-        self._hashes = {name: plan_hash(one).hex() for name, one in run.programs.items()}
+        self._name_plans(run)
         robot = run.robot
         names = {name for one in run.programs.values() for name in one.start_deg}
         self.start(
@@ -214,11 +198,14 @@ class StageSteering(Steering):
                 robot=robot.name,
                 is_simulated=is_simulated(robot),
                 duration_s=None,
-                plan=next(iter(self._hashes.values())),
+                plan=next(iter(self.plans.values())).hex(),
                 joints=tuple(name for name in robot.joints if name in names),
                 marks=(),
             )
         )
+
+    def _name_plans(self, run: StageRun) -> None:
+        self.plans = {name: plan_hash(one) for name, one in run.programs.items()}
 
     # ---- controls
 
@@ -243,7 +230,7 @@ class StageSteering(Steering):
         kind, text = self._own.renew(newer.planned, player)
         self._own.record(kind, text)
         if kind == "renewed":
-            self._hashes = {name: plan_hash(one).hex() for name, one in self._own.programs.items()}
+            self._name_plans(self._own)
 
     def _watch(self, player: Player, now_ns: int) -> None:
         """End the stage when the server is gone: nothing could ever end it, and it has no end."""
@@ -292,12 +279,6 @@ class StageSteering(Steering):
 
     # ---- observer
 
-    def on_event(self, event: Event) -> None:
-        """Send what happened."""
-        if isinstance(event, ShowBegan) and not event.is_added:
-            self._plan = bytes.fromhex(self._hashes.get(event.name, ""))
-        super().on_event(event)
-
     def note(self, record: Record) -> None:
         """Send a note of the stage."""
         if "kind" not in record or record["kind"] == "sample":
@@ -320,5 +301,5 @@ class StageSteering(Steering):
         self._has_news, self._stated_ns = False, now_ns
         state = self._run.state_of()
         shown = state["show"]
-        plan = None if shown is None else self._hashes.get(shown)
-        self.operator.offer(s.StageState(**state, show_plan=plan))
+        plan = None if shown is None else self.plans.get(shown)
+        self.operator.offer(s.StageState(**state, show_plan=None if plan is None else plan.hex()))

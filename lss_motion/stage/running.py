@@ -1,7 +1,7 @@
 """Couples the director and the player, in the process of the player and in virtual time.
 
 `StageRun.play` plays a stage until it is stopped. It makes one run of the player after the other
-(`playing.stage_run.perform_stage`): a run ends with a fault, or when a resting figure goes limp,
+(`playing.run.perform`): a run ends with a fault, or when a resting figure goes limp,
 and the director says when the next one begins. Between two runs nothing is open and nothing moves.
 
 `StageRun` is the observer and the controls of these runs. It reads the sensors of cues, gives the
@@ -20,7 +20,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, LssMotionError
-from lss_motion.playing.perform import Observer
 from lss_motion.playing.player.events import (
     Faulted,
     Phase,
@@ -29,8 +28,9 @@ from lss_motion.playing.player.events import (
     ShowOver,
     Warned,
 )
+from lss_motion.playing.player.repertoire import Repertoire
+from lss_motion.playing.run import Observer, perform
 from lss_motion.playing.sound_choice import SoundChoice
-from lss_motion.playing.stage_run import perform_stage
 from lss_motion.robot.on_fault import ENDING, Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director
@@ -50,8 +50,9 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.events import Event, ShowSummary
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.run import Result
     from lss_motion.playing.runner import Tap
-    from lss_motion.playing.stage_run import StageResult
+    from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
     from lss_motion.stage.model import Stage
@@ -111,7 +112,7 @@ class Options:
     seed: int | None = None
     """Of random choices and of the simulated bus; None: another one each time."""
     more: dict[str, Any] = field(default_factory=dict)
-    """Other options of `perform_stage`."""
+    """Other options of `playing.run.RunOptions`."""
     next_faults: Callable[[int], Sequence[Any]] | None = None
     """Returns the simulated faults of the run that begins at an instant."""
 
@@ -122,7 +123,7 @@ class StageEnd(Struct, frozen=True, kw_only=True):
     runs: int
     error: LssMotionError | None
     """Why it could not begin."""
-    last: StageResult | None = None
+    last: Result[StageReport] | None = None
 
 
 class StageRun:
@@ -221,7 +222,7 @@ class StageRun:
 
     # ---- one run after the other
 
-    def play(self, on_result: Callable[[StageResult, int], None] | None = None) -> StageEnd:
+    def play(self, on_result: Callable[[Result[StageReport], int], None] | None = None) -> StageEnd:
         """Begin runs until the stage is over."""
         runs, last = 0, None
         while not self._is_over:
@@ -253,7 +254,7 @@ class StageRun:
         self.state = "connecting"
         self.record("connecting", "the servos are checked and set up")
 
-    def _perform(self) -> StageResult:
+    def _perform(self) -> Result[StageReport]:
         options = self.options
         faults = () if options.next_faults is None else options.next_faults(self.now_ns)
         # Where timecode leads the shows, no sound device does.
@@ -261,10 +262,9 @@ class StageRun:
         observer = Observer(
             on_event=self.on_event, on_turn=self.on_turn, controls=self, make_tap=self._make_tap
         )
-        return perform_stage(
-            self.programs,
+        return perform(
+            Repertoire(self.programs, self.robot, watched=self.stage.sensors),
             self.robot,
-            watched=self.stage.sensors,
             is_virtual=options.is_virtual,
             is_real_time=options.is_real_time,
             may_run=options.may_run,
@@ -278,7 +278,7 @@ class StageRun:
         ring: Tap = self.ring.started(started_ns)
         return ring if self._tap is None else Both(ring, self._tap(started_ns))
 
-    def _after_run(self, result: StageResult) -> bool:
+    def _after_run(self, result: Result[StageReport]) -> bool:
         """Tell the director how a run ended; return whether another one may come."""
         self._obey(None)
         is_relaxed, self._is_relaxing = self._is_relaxing, False
@@ -563,7 +563,7 @@ class StageRun:
             self._note({"dump": name, "content": self.ring.content()})
 
 
-def cause_of(result: StageResult) -> tuple[Cause | None, str]:
+def cause_of(result: Result[StageReport]) -> tuple[Cause | None, str]:
     """Return the kind and the text of the fault that ended a run."""
     for fault in reversed(result.player.faults):
         if fault.step in ENDING:

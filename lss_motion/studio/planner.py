@@ -191,7 +191,7 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     show = compiled(sequence, robot)
     plan = plan_hash(show.program).hex()
     sounds = {Path(cue.sound) for cue in show.program.cues if cue.sound}
-    job = Job(program=show.program, robot=robot, trajectory=show.trajectory)
+    job = Job(shows=show.program, robot=robot, trajectory=show.trajectory)
     return {
         "files": tuple(sorted(files | sounds)),
         "plan": plan,

@@ -10,7 +10,7 @@ import pytest
 
 from lss_motion.planning import shows
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.run import Observer, perform
 from lss_motion.sim.bus import servos_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"

@@ -14,8 +14,8 @@ import pytest
 
 import lss_motion as lss
 from benches import sound_recorder
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase
+from lss_motion.playing.run import Observer, perform
 from lss_motion.playing.sound_choice import SoundChoice
 
 soundfile = pytest.importorskip(

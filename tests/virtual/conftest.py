@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer, Result, perform
+from lss_motion.playing.run import Observer, Result, perform
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim import bus as sim_bus

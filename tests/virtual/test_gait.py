@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion.planning import shows
-from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.run import Observer, perform
 from lss_motion.show.gait.kinematics import forward
 from lss_motion.show.gait.load import load_gait
 from lss_motion.show.gait.model import PATTERNS

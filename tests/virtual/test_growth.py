@@ -8,7 +8,7 @@ import pytest
 from lss_motion.planning.program.model import Program
 from lss_motion.planning.program.splice import initial_splice_state
 from lss_motion.planning.trajectory.tracks import given_motion
-from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.run import Observer, perform
 
 
 def wave(robot, from_s, to_s, swing_deg):

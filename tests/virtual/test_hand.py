@@ -14,8 +14,8 @@ from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import connect
 from lss_motion.playing.hands_on import HandsOn
-from lss_motion.playing.perform import perform as play
 from lss_motion.playing.player.events import Phase
+from lss_motion.playing.run import perform as play
 from lss_motion.playing.runner import run
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence

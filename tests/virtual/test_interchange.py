@@ -25,7 +25,7 @@ from lss_motion.planning import shows
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.program.text import load_program, to_text
 from lss_motion.planning.trajectory.planner import plan
-from lss_motion.playing.perform import perform
+from lss_motion.playing.run import perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
 from lss_motion.playing.player.unasked import EXCESS_MIN
+from lss_motion.playing.run import perform
 from lss_motion.sim.faults import Fault, FaultKind
 
 IDS = (1, 2, 3)

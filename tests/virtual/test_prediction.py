@@ -13,7 +13,7 @@ from lss_motion.interchange import imported, load_map, read_motion
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
+from lss_motion.playing.run import perform
 from tests.virtual.conftest import make_robot, make_sequence
 
 ROOT = Path(__file__).resolve().parents[2]

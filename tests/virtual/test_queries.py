@@ -11,10 +11,10 @@ import pytest
 from msgspec.structs import replace
 
 import lss_motion as lss
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.estimators import DisturbanceEstimator
 from lss_motion.playing.player.events import Faulted, MarkPassed, Warned
 from lss_motion.playing.player.query_choice import BY_NEED
+from lss_motion.playing.run import Observer, perform
 from lss_motion.protocol.lss_pro import PRO_TABLE
 from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.servo_models import SERVO_MODELS

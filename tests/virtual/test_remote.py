@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.following import FollowRule
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.job import Job, play
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.playing.run import Observer, perform
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot, make_sequence
@@ -92,7 +92,7 @@ def run(show, client, **options):
 
     client.steering.on_turn = turn
     result = {}
-    import lss_motion.playing.perform as module
+    import lss_motion.playing.run as module
 
     real = module.perform
 
@@ -103,7 +103,7 @@ def run(show, client, **options):
     module.perform = kept
     try:
         job = Job(
-            program=program,
+            shows=program,
             robot=robot,
             trajectory=trajectory,
             options={"is_virtual": True, **options},
@@ -295,7 +295,7 @@ def test_what_cannot_begin_ends_with_its_error(show):
     program, other = show[1], make_robot(1)
     client = Client()
     client.outcome = play(
-        Job(program=program, robot=other, options={"is_virtual": True}), client.steering
+        Job(shows=program, robot=other, options={"is_virtual": True}), client.steering
     )
     client.read()
     client.close()
@@ -314,7 +314,7 @@ class Conductor(Operator):
 def test_a_player_that_comes_back_stands_where_the_show_will_be_and_gains_speed_by_a_ramp(
     monkeypatch,
 ):
-    import lss_motion.playing.perform as module
+    import lss_motion.playing.run as module
     from lss_motion.playing import api
 
     robot = make_robot(2, baud_bps=115200)
@@ -329,7 +329,7 @@ def test_a_player_that_comes_back_stands_where_the_show_will_be_and_gains_speed_
         one.setblocking(False)
     operator = Conductor(MessagePipe(other))
     job = Job(
-        program=program,
+        shows=program,
         robot=robot,
         follow=FollowRule(lost="hold"),
         options={"is_virtual": True, "start_s": 5.3},

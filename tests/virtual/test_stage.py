@@ -15,15 +15,16 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer
 from lss_motion.playing.player.events import Phase, PhaseEntered, ShowBegan, ShowOver
 from lss_motion.playing.player.repertoire import Repertoire
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.job import Job
+from lss_motion.playing.remote.job import play as play_job
 from lss_motion.playing.remote.operator_end import Operator
-from lss_motion.playing.remote.shows_job import ShowsJob, ShowsSteering, play_shows
+from lss_motion.playing.remote.player_end import Steering
 from lss_motion.playing.remote.telemetry import Telemetry
-from lss_motion.playing.stage_run import perform_stage
+from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.deviation import Deviation
@@ -64,6 +65,10 @@ def shows():
         "wave": program(("j1",), 3.0, 3),
         "eyes": program(("j2",), 2.0, 4, None),
     }
+
+
+def repertoire():
+    return Repertoire(shows(), figure())
 
 
 class Evening(Witness):
@@ -110,8 +115,8 @@ def play(acts=(), *, replies=None, faults=(), seed=0, first="idle", **options):
     """Run a stage; assert that the independent judge has nothing to object to."""
     evening = Evening(acts, replies)
     observer = Observer(on_event=evening.on_event, controls=evening, make_tap=lambda _: evening)
-    result = perform_stage(
-        shows(), figure(), first=first, is_virtual=True, seed=seed, faults=faults,
+    result = perform(
+        repertoire(), figure(), first=first, is_virtual=True, seed=seed, faults=faults,
         observer=observer, **options,
     )  # fmt: skip
     assert objections_to(result.player.robot, faults, evening, result) == []
@@ -163,7 +168,7 @@ def test_each_way_to_start_a_show_is_no_step():
     )
     evening_events = evening.events
     observer = Observer(on_event=evening.on_event, controls=evening, make_tap=lambda _: evening)
-    result = perform_stage(shows(), figure(), first="idle", is_virtual=True, observer=observer)
+    result = perform(repertoire(), figure(), first="idle", is_virtual=True, observer=observer)
     assert objections_to(result.player.robot, (), evening, result) == []
     assert evening.played == [
         "idle", "idle left", "hello", "hello finished", "idle", "idle left", "wave", "wave left",
@@ -305,8 +310,8 @@ def test_a_client_changes_shows_from_another_process():
         (11.0, m.Stop(id=7)),
     ]  # fmt: skip
     got = []
-    job = ShowsJob(programs=shows(), robot=figure(), first="idle", options={"is_virtual": True})
-    steering = ShowsSteering(Operator(MessagePipe(there)), job.rule, job.programs)
+    job = Job(shows=shows(), robot=figure(), options={"is_virtual": True, "first": "idle"})
+    steering = Steering(Operator(MessagePipe(there)), job.rule)
     act = steering.act
 
     def acts(player, now_ns):
@@ -316,7 +321,7 @@ def test_a_client_changes_shows_from_another_process():
         got.extend(client.receive())
 
     steering.act = acts
-    outcome = play_shows(job, steering)
+    outcome = play_job(job, steering)
     got.extend(client.receive())
     client.close()
     steering.operator.link.close()
@@ -389,8 +394,8 @@ def test_a_push_of_a_joint_that_has_rested_for_long_is_noticed_within_a_second(a
 
     watch = Look([(12.0, stop)])
     pushed = Deviation(push_deg=4.0, push_at_s=at_s, push_for_s=1.0)
-    result = perform_stage(
-        shows(), figure(), is_virtual=True, deviation=pushed, is_recorded=False,
+    result = perform(
+        repertoire(), figure(), is_virtual=True, deviation=pushed, is_recorded=False,
         observer=Observer(controls=watch, make_tap=lambda _: watch),
     )  # fmt: skip
     assert result.report.outcome == "stopped"
@@ -416,11 +421,11 @@ def test_what_the_run_was_not_prepared_for_is_refused_with_the_reason():
     streamed = replace(other, drives={"j1": shows()["idle"].drives["j3"]})
     with pytest.raises(InputError, match=r"'b' drives joint 'j1' as streamed .* it as timed"):
         Repertoire({"a": other, "b": streamed}, figure())
-    repertoire = Repertoire({"wave": shows()["wave"]}, figure())
+    wave = Repertoire({"wave": shows()["wave"]}, figure())
     with pytest.raises(InputError, match="not prepared for: joint j0"):
-        repertoire.require(other)
+        wave.require(other)
     with pytest.raises(InputError, match="did you mean 'idle'"):
-        perform_stage(shows(), figure(), first="idel", is_virtual=True)
+        perform(repertoire(), figure(), first="idel", is_virtual=True)
     refused, _ = play([(1.0, change("hello", 99.0)), (6.0, stop), (6.1, change("wave"))])
     assert "99 s is not in the show" in refused.refused[0]
     assert "no other show can begin now, the run is stopping" in refused.refused[1]
@@ -448,8 +453,8 @@ def test_thousands_of_changes_need_no_memory():
                     player.repertoire.programs[("wave", "eyes")[self.count % 2]], now_ns
                 )
 
-    result = perform_stage(
-        shows(), figure(), first="wave", is_virtual=True, is_recorded=False,
+    result = perform(
+        repertoire(), figure(), first="wave", is_virtual=True, is_recorded=False,
         observer=Observer(controls=Storm(), on_event=kept.append),
     )  # fmt: skip
     assert result.report.totals["wave"].plays + result.report.totals["eyes"].plays == 26

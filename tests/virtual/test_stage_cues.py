@@ -10,7 +10,7 @@ from campaign.outside import objections_to
 from campaign.witness import Witness
 
 from lss_motion.errors import BusError
-from lss_motion.playing.stage_run import perform_stage
+from lss_motion.playing import run as run_module
 from lss_motion.robot.on_fault import Cause
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import SENSOR_NAMES
@@ -254,11 +254,11 @@ def test_a_missing_port_is_waited_for(folder, monkeypatch):
         tries.append(run.now_ns / S)
         if len(tries) < 4:
             raise BusError("no port /dev/ttyUSB0")
-        return perform_stage(*args, **options)
+        return run_module.perform(*args, **options)
 
     (folder / "stage.yaml").write_text(STAGE)
     planned = plan_stage(load_stage(folder / "stage.yaml"))
-    monkeypatch.setattr(running, "perform_stage", perform)
+    monkeypatch.setattr(running, "perform", perform)
     run = StageRun(planned, Options(is_virtual=True, waits_for_port=True, lasts_s=20.0))
     end = run.play()
     assert end.error is None

@@ -10,8 +10,8 @@ from local_planner import LocalPlanner
 from msgspec.structs import replace
 
 from lss_motion.planning import shows
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase
+from lss_motion.playing.run import Observer, perform
 from lss_motion.playing.walking.pilot import Pilot
 from lss_motion.playing.walking.planner import WalkPlanner
 from lss_motion.show.gait.kinematics import forward

@@ -21,8 +21,8 @@ from lss_motion.maintenance.identify.show_pieces import TooLittleMotionError
 from lss_motion.maintenance.identify.summary import response_values
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Warned
+from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.deviation import deviation_from_text
 from tests.virtual.conftest import make_robot, make_sequence

@@ -23,8 +23,8 @@ from benches.table import Row
 from lss_motion.errors import LineLoadError
 from lss_motion.planning.program.model import TOLERANCE_DEG
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase, PhaseEntered
+from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.servo_models import SERVO_ID_MAX
 from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.bus import bus_from_robot

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
+from lss_motion.playing.run import perform
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim import bus
 from lss_motion.sim.faults import Fault, FaultKind

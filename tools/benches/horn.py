@@ -15,8 +15,8 @@ import numpy as np
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
 from lss_motion.playing.player.query_choice import BY_NEED
+from lss_motion.playing.run import perform
 from lss_motion.protocol.framing import encode_move
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import ns_from_s

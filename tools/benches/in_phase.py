@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase
+from lss_motion.playing.run import Observer, perform
 from lss_motion.sim.horns import FILTER_NS
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import Trajectory
-    from lss_motion.playing.perform import Result
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.run import Result
     from lss_motion.playing.runner import Tap
     from lss_motion.robot.model import Robot
     from lss_motion.sim.deviation import Deviation

@@ -39,7 +39,7 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion.cli.display import Display
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer, perform
+from lss_motion.playing.run import Observer, perform
 from lss_motion.system.real_time import PRIORITY, real_time
 from lss_motion.units import NS_PER_US, line_time_ns, ns_from_s, s_from_us
 

@@ -19,8 +19,8 @@ from benches.behind_pty import robot_behind_pty
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase, PhaseEntered
+from lss_motion.playing.run import Observer, perform
 from lss_motion.units import LINE_BITS_PER_BYTE, line_time_ns, s_from_ns
 
 if TYPE_CHECKING:

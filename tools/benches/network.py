@@ -21,9 +21,9 @@ from benches.stage_model import LOOPBACK, STATUS_NS, WIFI, LinkModel, World
 from benches.table import Row, core_seconds
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.following import SLOW_RATE, Following, FollowRule
 from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.stage.hosts.clocks import EVERY_NS, ClockEstimator, Exchange

@@ -63,8 +63,8 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
 from lss_motion.planning import shows
 from lss_motion.playing import api
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase, PhaseEntered
+from lss_motion.playing.run import Observer, perform
 
 if TYPE_CHECKING:
     from lss_motion.planning.program.model import Program

@@ -31,7 +31,7 @@ from benches.in_phase import bound_ratios, limit_ratios, named_joints, play_in_p
 from benches.shows import robot_of  # noqa: E402
 from lss_motion.errors import InputError  # noqa: E402
 from lss_motion.playing import api  # noqa: E402
-from lss_motion.playing.perform import perform  # noqa: E402
+from lss_motion.playing.run import perform  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
 from lss_motion.show.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import Trajectory
-    from lss_motion.playing.perform import Result
+    from lss_motion.playing.run import Result
     from lss_motion.playing.truth import Truth
     from lss_motion.robot.model import Robot
 

@@ -17,8 +17,8 @@ import numpy as np
 import lss_motion as lss
 from benches.sound_recorder import RATE_HZ, Recorder, missing, sound_server
 from benches.table import Row
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.show_clock import Leg, ShowClock
+from lss_motion.playing.run import Observer, perform
 from lss_motion.sound.device import DeviceClock
 from lss_motion.sound.mixer import Mixer, Voice
 

@@ -16,10 +16,10 @@ import numpy as np
 from benches.table import Row
 from lss_motion.planning import shows
 from lss_motion.playing.api import with_port
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.following import Following, FollowRule, Step
 from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.playing.run import Observer, perform
 from lss_motion.stage.timecode import chase
 from lss_motion.stage.timecode.chase import Chase, Observation
 from lss_motion.stage.timecode.ltc import sound_of

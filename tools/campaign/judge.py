@@ -40,8 +40,8 @@ from campaign.witness import Act, HangError, Witness, random_acts
 
 from lss_motion.errors import BusError
 from lss_motion.planning.program.reference_grid import servo_limits
-from lss_motion.playing.perform import Observer, Result, perform
 from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
+from lss_motion.playing.run import Observer, Result, perform
 from lss_motion.sim.bus import servos_of
 from lss_motion.sim.faults import INSTANT, REPLY_KINDS, RESTARTING, Fault, FaultKind
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from campaign.witness import Witness
 
-    from lss_motion.playing.perform import Result
+    from lss_motion.playing.run import Result
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.faults import Fault
 

@@ -32,7 +32,6 @@ from lss_motion.playing.player.events import Phase, Warned
 from lss_motion.playing.player.faults import Verdict
 from lss_motion.playing.player.phases import DRIVING, ENDING, PLAYING, PhaseMachine
 from lss_motion.playing.player.present_show import Start
-from lss_motion.playing.player.query_choice import BY_NEED
 from lss_motion.playing.player.session import Session
 from lss_motion.playing.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.splice import Extension
     from lss_motion.playing.player.events import Event, Faulted
     from lss_motion.playing.player.phases import Outcome
-    from lss_motion.playing.player.query_choice import Pace
     from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.player.show_clock import Leg
     from lss_motion.playing.player.streamer import Streamer
@@ -69,7 +67,7 @@ STALL_REASON: Final = (
 class Player:
     """Plays the programs of a repertoire on one robot, one after the other."""
 
-    def __init__(  # noqa: PLR0913  (the options of one run)
+    def __init__(
         self,
         repertoire: Repertoire,
         robot: Robot,
@@ -80,14 +78,12 @@ class Player:
         must_ask: bool = False,
         is_open: bool = False,
         is_forced: bool = False,
-        pace: Pace | None = BY_NEED,
     ) -> None:
         """Begin with `first`, or the only program; None: all joints hold where they are.
 
         While `is_open` the show does not end but waits for extensions. With `must_ask`, nothing
         moves before `go`. `is_forced`: play without feedback also where servos store higher limits
-        than their joints have. `pace`: how often angles are queried; None: as often as the lines
-        allow.
+        than their joints have.
         """
         if first is not None:
             repertoire.require(first)
@@ -95,7 +91,7 @@ class Player:
         self.repertoire = repertoire
         self.robot = robot = driven(robot, needs)
         options = {"has_feedback": has_feedback, "is_forced": is_forced}
-        session = Session(needs, robot, start_s=only_s, pace=pace, **options)
+        session = Session(needs, robot, start_s=only_s, pace=repertoire.pace, **options)
         self.watched = SensorWatch(robot.sensors[name] for name in repertoire.watched)
         """The sensors of the repertoire that a caller watches."""
         session.watched = self.watched

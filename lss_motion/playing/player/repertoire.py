@@ -17,11 +17,13 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.planning.program.model import TIMED, Driving, Program
 from lss_motion.planning.trajectory.model import WaitPoint
+from lss_motion.playing.player.query_choice import BY_NEED, ON_STAGE
 from lss_motion.show.model import Wait
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from lss_motion.playing.player.query_choice import Pace
     from lss_motion.robot.model import Robot
 
 STANDING: Final = "standing"
@@ -39,12 +41,15 @@ class Repertoire:
         robot: Robot,
         *,
         watched: Iterable[str] = (),
+        pace: Pace | None = ON_STAGE,
         only: Program | None = None,
     ) -> None:
         """Take the programs by name, and the sensors that are watched besides theirs.
 
-        `only` is the program of a run that ends with it, and then is the one in `programs`.
+        `pace`: how often angles are queried; None: as often as the lines allow. `only` is the
+        program of a run that ends with it, and then is the one in `programs`.
         """
+        self.pace = pace
         self.programs = {name: _named(one, name) for name, one in programs.items()}
         self.only = only
         """The program with which the run ends; None: the run goes on until it is stopped."""
@@ -65,9 +70,9 @@ class Repertoire:
         self._has_sounds = any(cue.sound for cue in cues)
 
     @classmethod
-    def single(cls, program: Program, robot: Robot) -> Repertoire:
+    def single(cls, program: Program, robot: Robot, *, pace: Pace | None = BY_NEED) -> Repertoire:
         """Return the repertoire of a run that plays `program` and ends with it."""
-        return cls({program.name: program}, robot, only=program)
+        return cls({program.name: program}, robot, pace=pace, only=program)
 
     def needs(self, first: Program | None) -> Program:
         """Return what all programs need together, as one program that is checked, not played.

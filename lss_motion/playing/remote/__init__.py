@@ -11,11 +11,8 @@ are kept, up to a bound.
 | `telemetry`    | where every joint is, as bytes; the hash of a plan       | `schema`, both ends |
 | `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end` |
 | `player_end`   | a show: applies operations, sends what happens           | `job` |
-| `guided`       | calibrate and identify, led by questions                 | `live_end` |
 | `live_end`     | a robot without a show: jog, poses, limp, hold           | `studio` |
 | `job`          | what is played, and how it ended                         | `process`, `handle` |
-| `shows_job`    | several shows in one run, which a client changes         | `process` |
-| `scan_job`     | finds the servos of a robot                              | `studio` |
 | `process`      | the process that does a job, and how it is started       | `handle`, `studio` |
 | `handle`       | `start` and `Handle`: the client's end, for Python       | `lss_motion` |
 """

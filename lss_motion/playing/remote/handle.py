@@ -17,7 +17,7 @@ import pickle
 import queue
 import sys
 import threading
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from msgspec import Struct
 
@@ -91,7 +91,7 @@ def start(  # noqa: PLR0913  (the options of one run)
     if sys.platform == "win32":
         raise InputError("start needs Linux or macOS; play(program, robot) works here")
     job = Job(
-        program=program,
+        shows=program,
         robot=with_port(robot, port),
         rule=rule or LossRule(),
         options={
@@ -105,7 +105,7 @@ def start(  # noqa: PLR0913  (the options of one run)
             "seed": seed,
         },
     )
-    return Handle(job)
+    return Handle(job, program)
 
 
 class Handle(Closing):
@@ -114,7 +114,7 @@ class Handle(Closing):
     They may be called from any thread. Operations on a show that has ended do nothing.
     """
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: Job, program: Program) -> None:
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._events: queue.Queue[m.AnyEvent] = queue.Queue(KEPT_EVENTS)
@@ -123,7 +123,7 @@ class Handle(Closing):
         self._started: m.Started | None = None
         self._outcome: Outcome | None = None
         self._next_id = 1
-        self._program = job.program
+        self._program = program
         self.phase = "connecting"
         """The phase of the player, by the names of `playing.player.events.Phase`."""
         self._process = start_process(packed(job))
@@ -244,8 +244,8 @@ class Handle(Closing):
             raise BusError(f"{GONE} (exit code {self._process.wait()})")
         if outcome.error is not None:
             raise outcome.error
-        assert outcome.report is not None, "a run without an error has a report"
-        return outcome.report
+        # A run without an error has a report, and one show that of `lss.play`.
+        return cast("Report", outcome.report)
 
     # ---- the end
 

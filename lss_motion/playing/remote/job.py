@@ -7,55 +7,107 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, field
 
 from lss_motion.errors import LssMotionError
+from lss_motion.planning.program.model import Program
 from lss_motion.playing.player.following import Following, FollowRule, require_can_follow
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.schema import Ended, MarkInfo, Started
 from lss_motion.playing.remote.telemetry import duration_of, plan_hash
 
 if TYPE_CHECKING:
-    from lss_motion.planning.program.model import Program
+    from collections.abc import Mapping
+
     from lss_motion.planning.trajectory.model import Trajectory
+    from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.remote.operator_end import Operator
     from lss_motion.playing.report import Report
+    from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
 
 
 class Job(Struct, frozen=True, kw_only=True):
-    """What is played, and how: the arguments of `perform`, and the rule for a lost operator."""
+    """What is played, and how: the arguments of `perform`, and the rule for a lost operator.
 
-    program: Program
+    A client of many shows changes between them, with `change` and `end_added`.
+    """
+
+    shows: Program | Mapping[str, Program]
+    """One program, or the shows of a run by name."""
     robot: Robot
     trajectory: Trajectory | None = None
     rule: LossRule = field(default_factory=LossRule)
     follow: FollowRule | None = None
     """The show follows a leader, of which operations `follow` tell, and stands until then."""
     options: dict[str, Any] = field(default_factory=dict)
+    """Those of `run.RunOptions`."""
 
     def run(self, operator: Operator) -> Outcome:
         """Play it with this client as its operator."""
-        start_s = self.options.get("start_s")
         following = None
         if self.follow is not None:
-            following = Following(self.follow, place_s=start_s, pauses=True)
+            following = Following(self.follow, place_s=self.options.get("start_s"), pauses=True)
         return play(self, Steering(operator, self.rule, following=following))
 
 
 class Outcome(Struct, frozen=True):
     """How a job ended: with a report, unless it could not begin."""
 
-    report: Report | None
+    report: Report | StageReport | None
     error: LssMotionError | None
 
+    @property
+    def _word(self) -> str:
+        return "stopped" if self.error is None else "fault"
 
-def started(job: Job) -> Started:
-    """Return the first event of a job."""
+    @property
+    def message(self) -> Ended:
+        """The last event of the job."""
+        return Ended(
+            outcome=self._word if self.report is None else self.report.outcome,
+            error=None if self.error is None else str(self.error),
+            report=None if self.report is None else self.report.to_dict(),
+            exit_code=None if self.error is None else self.error.exit_code,
+        )
+
+
+def play(job: Job, steering: Steering) -> Outcome:
+    """Play `job` with this operator; send the first and the last event."""
+    from lss_motion.playing.player.repertoire import Repertoire
+    from lss_motion.playing.run import Observer, perform
+
+    observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
+    try:
+        if isinstance(job.shows, Program):
+            if job.follow is not None:
+                require_can_follow(job.shows)
+            steering.start(started(job.shows, job.robot))
+            result = perform(
+                job.shows,
+                job.robot,
+                trajectory=job.trajectory,
+                observer=observer,
+                **job.options,
+            )
+            outcome = Outcome(result.report, result.error)
+        else:
+            shows = Repertoire(job.shows, job.robot)
+            steering.plans = {name: plan_hash(one) for name, one in job.shows.items()}
+            steering.start(shows_started(shows, job.robot, job.options.get("first") or "standing"))
+            many = perform(shows, job.robot, observer=observer, **job.options)
+            outcome = Outcome(many.report, many.error)
+    except LssMotionError as error:
+        outcome = Outcome(None, error)
+    steering.end(outcome.message)
+    return outcome
+
+
+def started(program: Program, robot: Robot) -> Started:
+    """Return the first event of a run of one show."""
     from lss_motion.playing.connection import is_simulated
 
-    program = job.program
     return Started(
         name=program.name,
-        robot=job.robot.name,
-        is_simulated=is_simulated(job.robot),
+        robot=robot.name,
+        is_simulated=is_simulated(robot),
         duration_s=duration_of(program),
         plan=plan_hash(program).hex(),
         joints=tuple(program.start_deg),
@@ -65,31 +117,16 @@ def started(job: Job) -> Started:
     )
 
 
-def play(job: Job, steering: Steering) -> Outcome:
-    """Play `job` with this operator; send the first and the last event."""
-    from lss_motion.playing.perform import Observer, perform
+def shows_started(shows: Repertoire, robot: Robot, name: str) -> Started:
+    """Return the first event of a run of many shows."""
+    from lss_motion.playing.connection import is_simulated
 
-    observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
-    try:
-        if job.follow is not None:
-            require_can_follow(job.program)
-        steering.start(started(job))
-        result = perform(
-            job.program,
-            job.robot,
-            trajectory=job.trajectory,
-            observer=observer,
-            **job.options,
-        )
-        outcome = Outcome(result.report, result.error)
-    except LssMotionError as error:
-        outcome = Outcome(None, error)
-    steering.end(
-        Ended(
-            outcome="fault" if outcome.report is None else outcome.report.outcome,
-            error=None if outcome.error is None else str(outcome.error),
-            report=None if outcome.report is None else outcome.report.to_dict(),
-            exit_code=None if outcome.error is None else outcome.error.exit_code,
-        )
+    return Started(
+        name=name,
+        robot=robot.name,
+        is_simulated=is_simulated(robot),
+        duration_s=None,
+        plan=plan_hash(shows.needs(None)).hex(),
+        joints=shows.joints,
+        marks=(),
     )
-    return outcome

@@ -1,6 +1,6 @@
 """The player's end: applies what clients ask for, and sends what happens.
 
-`Steering` is the controls and the observer of one run (`perform.Observer`). It never waits,
+`Steering` is the controls and the observer of one run (`run.Observer`). It never waits,
 and a client that floods it, or does not read, changes no move (`operator_end`): the rate is changed
 at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
 """
@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Final, Literal
 from msgspec import Struct
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import known_names
 from lss_motion.playing.player import events
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.protocol.constants import Led
 from lss_motion.system.messages import Kind
@@ -57,7 +59,7 @@ class LossRule(Struct, frozen=True):
 
 
 class Steering:
-    """One client that steers one run. Its methods are the callbacks of `perform.Observer`."""
+    """One client that steers one run. Its methods are the callbacks of `run.Observer`."""
 
     def __init__(
         self,
@@ -76,6 +78,8 @@ class Steering:
         self._rated_ns = -RATE_EVERY_NS
         self._telemetry_ns = self._health_ns = 0
         self._shown_s = 0.0
+        self.plans: dict[str, bytes] = {}
+        """The names of the plans of a run of many shows, by show."""
         self._plan = b""
         self._use: dict[str, tuple[int, int, int]] = {}
 
@@ -128,6 +132,8 @@ class Steering:
                 raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 self._steer(operation, player, now_ns)
+            case s.Change() | s.EndAdded() if player.repertoire.only is None:
+                self._change(operation, player, now_ns)
             case _:
                 raise InputError(f"{operation.op} is no operation on a running show")
 
@@ -146,6 +152,22 @@ class Steering:
                 self._rate = operation.ratio
             case m.Seek():
                 player.seek(operation.to, now_ns)
+
+    def _change(self, operation: s.Change | s.EndAdded, player: Player, now_ns: int) -> None:
+        """Change between the shows of a run of many."""
+        if isinstance(operation, s.EndAdded):
+            player.end_added(operation.show, now_ns)
+            return
+        programs = player.repertoire.programs
+        if operation.show is not None and operation.show not in programs:
+            raise InputError(f"no show {operation.show!r}; {known_names(operation.show, programs)}")
+        program = None if operation.show is None else programs[operation.show]
+        if operation.how == "replace":
+            player.change_to(program, now_ns, start_s=operation.start_s)
+        elif program is not None:
+            player.add(program, now_ns, start_s=operation.start_s)
+        else:
+            raise InputError("which show is to be added? Give `show`")
 
     def _lead(self, operation: m.Follow, now_ns: int) -> None:
         if self._following is None:
@@ -198,7 +220,9 @@ class Steering:
     # ---- observer
 
     def on_event(self, event: events.Event) -> None:
-        """Send what happened."""
+        """Send what happened; the telemetry names the plan of the show that plays."""
+        if isinstance(event, events.ShowBegan) and not event.is_added:
+            self._plan = self.plans.get(event.name, b"")
         if (message := message_of(event)) is not None:
             self.operator.send(message)
 

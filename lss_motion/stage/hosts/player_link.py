@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 PLAYER_MODULES: Final = (
     "lss_motion.playing.remote.job",
-    "lss_motion.playing.perform",
+    "lss_motion.playing.run",
     "lss_motion.sim.bus",
 )
 """What a player imports before it gets its job: 1.5 s of a core here, of which 0.1 s are left."""
@@ -100,7 +100,7 @@ class PlayerLink:
         except LssMotionError as error:
             return str(error)
         job = Job(
-            program=program,
+            shows=program,
             robot=self._robot,
             rule=LossRule(on_lost="stop"),
             follow=self._rule,

@@ -19,11 +19,12 @@ from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError
 from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.job import Outcome
 from lss_motion.playing.remote.player_end import LossRule
 from lss_motion.stage.hosts.conducting import ConductedStage, Offer
 from lss_motion.stage.hosts.plans import SEPARATOR
 from lss_motion.stage.hosts.serving import conduct, host_for
-from lss_motion.stage.job import StageOutcome, StageSteering
+from lss_motion.stage.job import StageSteering
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.records import must_restart
 from lss_motion.stage.stage_timecode import OwnSource, StageTimecode, spec_of
@@ -74,7 +75,7 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
     rule: LossRule = field(default_factory=LossRule)
     options: dict[str, Any] = field(default_factory=dict)
 
-    def run(self, operator: Operator) -> StageOutcome:
+    def run(self, operator: Operator) -> Outcome:
         """Conduct until the operator stops it; send the first and the last event."""
         steering = ConductorSteering(operator, self)
         try:
@@ -82,15 +83,9 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
             error: LssMotionError | None = None
         except LssMotionError as refused:
             error = refused
-        steering.end(
-            m.Ended(
-                outcome="stopped" if error is None else "fault",
-                error=None if error is None else str(error),
-                report=None,
-                exit_code=None if error is None else error.exit_code,
-            )
-        )
-        return StageOutcome(None, error)
+        outcome = Outcome(None, error)
+        steering.end(outcome.message)
+        return outcome
 
     def _run(self, operator: Operator, steering: ConductorSteering) -> None:
         options, given = self.options, self.stage.sync.timecode
@@ -145,6 +140,11 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
             conduct(host, run, act)
 
 
+def plans_of(hashes: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the names of plans as bytes, by show."""
+    return {show: bytes.fromhex(plan) for show, plan in hashes.items()}
+
+
 class ConductorSteering(StageSteering):
     """Operators of a stage with figures."""
 
@@ -160,14 +160,14 @@ class ConductorSteering(StageSteering):
         from lss_motion.playing.connection import is_simulated
 
         self._run, self._conducting = run, run
-        self._hashes = dict(self._job.hashes)
+        self.plans = plans_of(self._job.hashes)
         self.start(
             m.Started(
                 name=run.stage.name,
                 robot=self._job.robot.name,
                 is_simulated=is_simulated(self._job.robot),
                 duration_s=None,
-                plan=next(iter(self._hashes.values()), "00" * 8),
+                plan=next(iter(self._job.hashes.values()), "00" * 8),
                 joints=tuple(self._job.prefix + name for name in self._job.robot.joints),
                 marks=(),
             )
@@ -204,7 +204,7 @@ class ConductorSteering(StageSteering):
             kind, text = self._conducting.renew(newer.stage, newer.offers)
         self._conducting.records.note(kind, text)
         if kind == "renewed":
-            self._hashes = dict(newer.hashes)
+            self.plans = plans_of(newer.hashes)
 
     def _direct(self, operation: m.AnyOperation) -> bool:
         assert self._conducting is not None

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from lss_motion.cli.display import KEYS_HELP, Display, FrameHistory, frame_of, is_trouble, rendered
 from lss_motion.planning import shows
-from lss_motion.playing.perform import Observer, perform
 from lss_motion.playing.player.events import Phase
+from lss_motion.playing.run import Observer, perform
 
 WAVE = Path(__file__).parents[3] / "sequences" / "wave.yaml"
 

@@ -11,7 +11,7 @@ from lss_motion.cli import identify
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.playing import api
-from lss_motion.playing.perform import perform
+from lss_motion.playing.run import perform
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.load import load_robot
 from lss_motion.sim import bus

@@ -174,7 +174,7 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
     link.arm(name, 4.0)
     ((process, job, changes),) = given
     assert process.pipe is begun[0][0]
-    assert len(pickle.loads(job).program.moves) > 20
+    assert len(pickle.loads(job).shows.moves) > 20
     assert changes == {"options": {"start_s": 4.0}}
     link.report(0)
     assert len(begun) == 1  # None while a player moves servos.

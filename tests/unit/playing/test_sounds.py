@@ -15,8 +15,8 @@ import lss_motion as lss
 from lss_motion.cli.play import main as play
 from lss_motion.cli.terminal import Inputs
 from lss_motion.errors import install_command
-from lss_motion.playing.perform import perform
 from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.playing.run import perform
 from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.playing.sounds import SoundDesk
 from lss_motion.show.model import Cue

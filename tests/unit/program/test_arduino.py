@@ -19,8 +19,8 @@ from lss_motion.errors import InputError
 from lss_motion.planning.program.arduino import sketch
 from lss_motion.planning.program.model import Repeat
 from lss_motion.planning.program.text import load_program
-from lss_motion.playing.perform import perform
 from lss_motion.playing.player.handshake import session_commands
+from lss_motion.playing.run import perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.model import Cue
 from lss_motion.sim.bus import bus_from_robot

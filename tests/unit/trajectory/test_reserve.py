@@ -15,7 +15,7 @@ from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.retime import laid_out
 from lss_motion.planning.trajectory.solver import is_legal, solve
 from lss_motion.planning.trajectory.tracks import planned_track
-from lss_motion.playing.perform import perform
+from lss_motion.playing.run import perform
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.show.model import Keyframe, Sequence, Timing

@@ -1,8 +1,9 @@
-"""One run of a program on a robot: ports, clock, player, observer, report and simulated horns.
+"""One run on a robot: ports, clock, player, observer, report and simulated horns.
 
-`perform` is what `playing.api.play`, the commands, the tests and the benches call. It opens the
-ports, runs the player until it has ended, closes the ports and makes the report, also when the run
-fails on the way. `Observer` has the callbacks through which a caller watches and steers the run.
+`perform` is what `api.play`, the commands, the stage, the tests and the benches call. It plays a
+program, and ends with it, or a repertoire of many until it is stopped. It opens the ports, runs the
+player until it has ended, closes the ports and makes the report, also when the run fails on the
+way. `Observer` has the callbacks through which a caller watches and steers the run.
 `Result.truth` has the angles of the simulated horns (`truth`).
 """
 
@@ -10,12 +11,13 @@ from __future__ import annotations
 
 import contextlib
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypedDict, TypeVar, Unpack, overload
 
 from msgspec import Struct, field
 
 from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
 from lss_motion.files.source import known_names
+from lss_motion.planning.program.model import Program
 from lss_motion.playing.connection import connect, is_simulated
 from lss_motion.playing.player.events import Warned
 from lss_motion.playing.player.player import Player
@@ -32,7 +34,6 @@ from lss_motion.units import s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.player.events import Event
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.runner import Controls, Tap
     from lss_motion.playing.sound_choice import SoundReport
     from lss_motion.playing.sounds import SoundDesk
+    from lss_motion.playing.stage_report import Ledger, StageReport
     from lss_motion.playing.truth import Truth
     from lss_motion.robot.model import Robot
     from lss_motion.sim.bus import SimBus
@@ -48,10 +50,14 @@ if TYPE_CHECKING:
     from lss_motion.sim.faults import Fault
 
 
-class Result(Struct, frozen=True, kw_only=True):
+R = TypeVar("R")
+
+
+class Result(Struct, Generic[R], frozen=True, kw_only=True):
     """A run that has ended: its report, its player, and the horns if they are simulated."""
 
-    report: Report
+    report: R
+    """A `Report` of a program, a `StageReport` of a repertoire."""
     player: Player
     truth: Truth | None = None
     error: LssMotionError | None = None
@@ -73,53 +79,99 @@ class Observer(Struct, frozen=True, kw_only=True):
     """Returns the tap that gets every byte; its argument is the instant at which the run began."""
 
 
+class RunOptions(TypedDict, total=False):
+    """The options of a run: what is not given is off, or as in real time."""
+
+    is_virtual: bool
+    """Time passes as fast as the computer can. Only on simulated buses."""
+    seed: int
+    has_feedback: bool
+    start_s: float | None
+    """Show time from which the program is played; None: from its beginning."""
+    first: str | None
+    """The show with which a repertoire begins; None: all joints hold where they stand."""
+    trajectory: Trajectory | None
+    """The report has the distance of the simulated horns from it."""
+    observer: Observer | None
+    faults: Sequence[Fault]
+    """Of simulated buses and, in virtual time, of the host."""
+    deviation: Deviation | None
+    """Of simulated servos from the robot file."""
+    is_recorded: bool
+    """Whether simulated buses keep what they receive."""
+    is_open: bool
+    """`observer.controls` may extend the program, which with `must_ask` moves no joint before they
+    call `go`."""
+    must_ask: bool
+    may_run: bool
+    """The functions of the shows may be called."""
+    is_forced: bool
+    is_real_time: bool
+    """See `real_time`."""
+    pace: Pace | None
+    """How often a program has angles queried (`Player`)."""
+    sound: SoundChoice | None
+
+
+@overload
+def perform(shows: Program, robot: Robot, **options: Unpack[RunOptions]) -> Result[Report]: ...
+
+
+@overload
+def perform(
+    shows: Repertoire, robot: Robot, **options: Unpack[RunOptions]
+) -> Result[StageReport]: ...
+
+
 def perform(  # noqa: PLR0913  (the options of one run)
-    program: Program,
+    shows: Program | Repertoire,
     robot: Robot,
     *,
     is_virtual: bool = False,
     seed: int = 0,
     has_feedback: bool = True,
     start_s: float | None = None,
+    first: str | None = None,
     trajectory: Trajectory | None = None,
     observer: Observer | None = None,
     faults: Sequence[Fault] = (),
+    deviation: Deviation | None = None,
+    is_recorded: bool = True,
     is_open: bool = False,
-    is_real_time: bool = False,
     must_ask: bool = False,
     may_run: bool = False,
     is_forced: bool = False,
+    is_real_time: bool = False,
     pace: Pace | None = BY_NEED,
     sound: SoundChoice | None = None,
-    deviation: Deviation | None = None,
-) -> Result:
-    """Play `program` on `robot` and return the result, also when the run failed on the way.
+) -> Result[Any]:
+    """Play a program, or the shows of a repertoire until it is stopped; return the result.
 
-    With `trajectory`, the report has the distance of the simulated horns from it. `faults` apply to
-    simulated buses and, in virtual time, to the host; `deviation` to simulated servos. While
-    `is_open`, `observer.controls` may extend the show, which with `must_ask` moves no joint before
-    they call `go`. Functions need `may_run`; `is_real_time`: `real_time`. Others: see `Player`.
+    It is returned also when the run failed on the way. The options: see `RunOptions` and `Player`.
     Raises `InputError` or `BusError` only before the first byte.
     """
-    check_needs(program, may_run=may_run or is_virtual, has_feedback=has_feedback)
+    opening = None if isinstance(shows, Program) else _opening(shows, first)
+    needs = shows if isinstance(shows, Program) else shows.needs(opening)
+    check_needs(needs, may_run=may_run or is_virtual, has_feedback=has_feedback)
     worse: dict[str, Any] = {"faults": faults, "deviation": deviation}
-    simulated = check_bus(program, robot, is_virtual=is_virtual, **worse)
+    simulated = check_bus(needs, robot, is_virtual=is_virtual, **worse)
     clock = make_clock(faults, is_virtual=is_virtual, seed=seed)
-    connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, **worse)
+    connection = connect(
+        robot.buses, robot=robot, clock=clock, seed=seed, is_recorded=is_recorded, **worse
+    )
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
     player = Player(
-        Repertoire.single(program, robot),
+        Repertoire.single(shows, robot, pace=pace) if isinstance(shows, Program) else shows,
         robot,
+        first=opening,
         start_s=start_s,
         has_feedback=has_feedback,
         must_ask=must_ask,
         is_open=is_open,
         is_forced=is_forced,
-        pace=pace,
     )
-    warnings: list[str] = []
-    note, desk = Noting(observer.on_event, partial(_keep_warning, warnings)), None
-    recorder = TruthRecorder(player.robot, connection.simulated, trajectory) if simulated else None
+    kept, desk = _Kept(player, connection.simulated if simulated else None, trajectory), None
+    note = Noting(observer.on_event, kept.note)
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
@@ -128,20 +180,25 @@ def perform(  # noqa: PLR0913  (the options of one run)
             on_event, desk = performers
             for text in refused:
                 on_event(Warned(text))
-            turns = [] if recorder is None else [recorder.turn]
+            turns = kept.turns
             drive(player, connection, observer, on_event, desk, turns=turns, started_ns=started_ns)
     except BusError as lost:
         error = lost
     except BaseException:
-        if recorder is not None:
-            recorder.close()
+        kept.close()
         raise
     finally:
         error = close(connection, error)
     player.end_show(clock.now_ns())
     run_s = s_from_ns(clock.now_ns() - started_ns)
-    report = None if desk is None else desk.report
-    return _result(player, connection, recorder, run_s, error, warnings=warnings, sound=report)
+    return kept.result(note, run_s, error, None if desk is None else desk.report)
+
+
+def _opening(shows: Repertoire, first: str | None) -> Program | None:
+    """Return the show with which a repertoire begins."""
+    if first is not None and first not in shows.programs:
+        raise InputError(f"no show {first!r}; {known_names(first, shows.programs)}")
+    return None if first is None else shows.programs[first]
 
 
 def drive(
@@ -203,38 +260,6 @@ def effects(
         yield on_event, desk
 
 
-def _result(
-    player: Player,
-    connection: Connection,
-    recorder: TruthRecorder | None,
-    run_s: float,
-    error: LssMotionError | None,
-    *,
-    warnings: list[str],
-    sound: SoundReport | None,
-) -> Result:
-    """Return the result of a run that has ended; `recorder` is None on a real robot."""
-    from lss_motion.playing.report import make_report  # When nothing moves any more.
-
-    truth = None if recorder is None else recorder.finish(player)
-    report = make_report(
-        player,
-        run_s=run_s,
-        is_simulated=recorder is not None,
-        outcome=_outcome(player, error),
-        warnings=warnings,
-        sound=sound,
-        horn_error_deg=None if recorder is None else recorder.errors_deg(),
-    )
-    return Result(
-        report=report,
-        player=player,
-        truth=truth,
-        error=player.error or error,
-        simulated={} if recorder is None else connection.simulated,
-    )
-
-
 def close(connection: Connection, error: BusError | None) -> BusError | None:
     """Close the ports; return the error that ended the run, or that of bytes that did not leave."""
     try:
@@ -244,9 +269,78 @@ def close(connection: Connection, error: BusError | None) -> BusError | None:
     return error
 
 
-def _outcome(player: Player, error: LssMotionError | None) -> str:
-    is_lost = error is not None or isinstance(player.error, BusError)
-    return "lost" if is_lost and player.show is not None else player.outcome or "stopped"
+class _Kept:
+    """What is kept of a run for its result: of one show all, of many their totals."""
+
+    def __init__(
+        self,
+        player: Player,
+        simulated: Mapping[str, SimBus] | None,
+        trajectory: Trajectory | None,
+    ) -> None:
+        """Keep what comes of `player`; `simulated` are its buses, None on a real robot."""
+        self._player = player
+        self._simulated = simulated
+        self._warnings: list[str] = []
+        self._ledger: Ledger | None = None
+        self._recorder: TruthRecorder | None = None
+        if player.repertoire.only is None:
+            from lss_motion.playing.stage_report import Ledger
+
+            self._ledger = Ledger()
+        elif simulated is not None:
+            self._recorder = TruthRecorder(player.robot, simulated, trajectory)
+
+    @property
+    def turns(self) -> list[Callable[[Player, int], None]]:
+        """What must be called on each turn."""
+        return [] if self._recorder is None else [self._recorder.turn]
+
+    def note(self, event: Event) -> None:
+        """Keep what an event tells, if it tells anything."""
+        if self._ledger is not None:
+            self._ledger.note(event)
+        elif isinstance(event, Warned):
+            self._warnings.append(event.text)
+
+    def close(self) -> None:
+        """Forget it all."""
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def result(
+        self,
+        note: Callable[[Event], None],
+        run_s: float,
+        error: LssMotionError | None,
+        sound: SoundReport | None,
+    ) -> Result[Any]:
+        """Return the result of the run, which has ended; `note` gets the last events of many."""
+        player, ledger = self._player, self._ledger
+        truth = None if self._recorder is None else self._recorder.finish(player)
+        common: dict[str, Any] = {"run_s": run_s, "sound": sound}
+        common["is_simulated"] = self._simulated is not None
+        why = player.error or error
+        is_lost = error is not None or isinstance(player.error, BusError)
+        report: Report | StageReport
+        if ledger is None:
+            from lss_motion.playing.report import make_report  # When nothing moves any more.
+
+            report = make_report(
+                player,
+                outcome="lost" if is_lost and player.show else player.outcome or "stopped",
+                warnings=self._warnings,
+                horn_error_deg=None if self._recorder is None else self._recorder.errors_deg(),
+                **common,
+            )
+        else:
+            while (event := player.next_event()) is not None:
+                note(event)
+            is_lost = isinstance(why, BusError)
+            outcome = "lost" if is_lost else player.outcome or "stopped"
+            report = ledger.report(player, outcome=outcome, **common)
+        buses = self._simulated or {}
+        return Result(report=report, player=player, truth=truth, error=why, simulated=buses)
 
 
 class Noting:
@@ -262,11 +356,6 @@ class Noting:
         self._keep(event)
         if self._on_event is not None:
             self._on_event(event)
-
-
-def _keep_warning(warnings: list[str], event: Event) -> None:
-    if isinstance(event, Warned):
-        warnings.append(event.text)
 
 
 def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[str, ReopeningPort]:
