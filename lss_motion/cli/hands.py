@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import robot_at
 from lss_motion.cli.messages import ended_by, put
 from lss_motion.cli.options import add_options, add_robot
-from lss_motion.cli.terminal import Inputs
+from lss_motion.cli.terminal import STOP_KEYS, Inputs
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.playing.player.events import Faulted, Phase, Warned
 from lss_motion.units import NS_PER_S, s_from_ns
@@ -152,18 +152,18 @@ class HandsControls(Inputs, ABC):
     def act(self, driven: HandsOn, now_ns: int) -> None:
         """Apply the keys and signals since the last call."""
         self.now_ns = now_ns
-        signals_count, keys = self.take()
-        for _ in range(signals_count):
+        signals_count, typed = self.take()
+        keys = KEYS.findall(typed)
+        stops_count = signals_count + sum(key in STOP_KEYS for key in keys)
+        for _ in range(stops_count):
             driven.stop()
         if driven.phase is Phase.SHOW and not self._has_begun:
             self._has_begun = True
             self.begin(driven)
         if driven.phase is Phase.SHOW:
             self.turn(driven)
-        for key in KEYS.findall(keys):
-            if key in "qQ":
-                driven.stop()
-            elif driven.phase is Phase.SHOW:
+        for key in keys if stops_count == 0 else ():
+            if driven.phase is Phase.SHOW:
                 self.press(key, driven)
 
     def begin(self, hands_on: HandsOn) -> None:  # noqa: ARG002  (overridden)

@@ -8,6 +8,7 @@ from lss_motion.cli.commands import add_command
 from lss_motion.cli.hands import HandsControls, add_hands_arguments, joint_lines, load, run_command
 from lss_motion.errors import InputError
 from lss_motion.playing.player.events import Phase
+from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     import argparse
@@ -62,6 +63,9 @@ LEAD_S: Final = 0.5
 """While a key is held down, the target leads the joint by at most the angle that the joint turns in
 this time, so that it stops soon after the key is released. Chosen."""
 
+HELD_NS: Final = NS_PER_S // 2
+"""A key that comes again so soon is held down. Chosen: keyboards repeat some 30 times a second."""
+
 
 class JogControls(HandsControls):
     """Moves one joint at a time. Writes each pose into the robot file at once."""
@@ -76,6 +80,7 @@ class JogControls(HandsControls):
         self._chosen = 0
         self._step = 2
         self._target_deg: dict[str, float] = {}
+        self._c_ns = -HELD_NS
 
     def turn(self, hands_on: HandsOn) -> None:
         hands_on.take()
@@ -101,7 +106,10 @@ class JogControls(HandsControls):
                 hands_on.hold([joint.name])
                 self._target_deg.pop(joint.name, None)
             case "c":
-                self._keep(hands_on)
+                is_held = self.now_ns - self._c_ns < HELD_NS
+                self._c_ns = self.now_ns
+                if not is_held:
+                    self._keep(hands_on)
             case _:
                 pass
 

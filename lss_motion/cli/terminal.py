@@ -34,6 +34,9 @@ _HANGUP: Final = getattr(signal, "SIGHUP", None)
 LOOK_S: Final = 0.02
 """In virtual time the keyboard is looked at so often. Chosen: a person notices no delay, and
 there are thousands of turns a second."""
+KEYS_MAX: Final = 65536
+"""So many keys are taken in a turn; what a terminal holds of a flood is less."""
+STOP_KEYS: Final = frozenset("qQ")
 _PENDING_MAX: Final = 5
 """One more signal that no call of `take` has collected ends a program that hangs."""
 
@@ -125,13 +128,16 @@ class Inputs:
             raise KeyboardInterrupt
 
     def _keys(self) -> str:
-        if self._keys_fd is None or not wait_for([self._keys_fd], 0.0):
-            return ""
-        with contextlib.suppress(OSError):
-            if keys := os.read(self._keys_fd, 32):
-                return keys.decode("ascii", "ignore")
-        self._keys_fd = None  # The terminal is closed: no more keys can arrive.
-        return ""
+        """Return all that was typed, so that no key waits behind those before it."""
+        keys = b""
+        while self._keys_fd is not None and len(keys) < KEYS_MAX and wait_for([self._keys_fd], 0.0):
+            typed = b""
+            with contextlib.suppress(OSError):
+                typed = os.read(self._keys_fd, KEYS_MAX)
+            if not typed:
+                self._keys_fd = None  # The terminal is closed: no more keys can arrive.
+            keys += typed
+        return keys.decode("ascii", "ignore")
 
     def _read_keys(self) -> None:
         """Read single keys from the terminal, if standard input is one in the foreground."""
@@ -189,13 +195,15 @@ class Terminal(Inputs):
             self._must_set = False
             driven.set_rate(self._rate, now_ns)
         signals_count, keys = self.take()
-        for _ in range(signals_count):
-            driven.stop(now_ns)
         if self._on_keys is not None:
             self._on_keys(keys)
-            return
-        for key in keys:
-            self._press(key, driven, now_ns)
+            keys = ""
+        stops_count = signals_count + sum(key in STOP_KEYS for key in keys)
+        for _ in range(stops_count):
+            driven.stop(now_ns)
+        if stops_count == 0:
+            for key in keys:
+                self._press(key, driven, now_ns)
 
     def _press(self, key: str, driven: Steerable, now_ns: int) -> None:
         match key:
@@ -211,8 +219,6 @@ class Terminal(Inputs):
                 self.sound.shift(OFFSET_STEP_S if key == "." else -OFFSET_STEP_S)
             case "k" | "K" if self.sound is not None:
                 self.sound.is_kept = True
-            case "q" | "Q":
-                driven.stop(now_ns)
             case _:
                 pass
 

@@ -205,6 +205,19 @@ def test_jog_moves_within_the_range_and_keeps_poses_in_the_robot_file(tmp_path):
     assert all(comment in text for comment in ("# two joints", "# the head", "# straight ahead"))
 
 
+def test_a_held_key_and_a_flood_of_keys_delay_no_stop(tmp_path):
+    """150 poses were written, one after the other, before the stop behind them was read."""
+    with simulated(tmp_path) as (bus, _), person(tmp_path, "jog") as someone:
+        someone.wait_for("keep pose")
+        someone.press("\x1b[C")
+        someone.press("c" * 2000)
+        someone.wait_for("pose pose: ")
+        someone.press("c" * 2000 + "q" + "c" * 90)
+        assert someone.end() == 0, someone.said
+        assert received(bus)[-1] == b"#254H"
+    assert set(load_robot(tmp_path / "robot.yaml").poses) <= {"home", "pose", "pose_2"}
+
+
 class Push:
     """A hand that holds all joints at 0 until `is_pushing`, then at `pushed_deg`."""
 

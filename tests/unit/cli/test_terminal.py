@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from lss_motion.cli import terminal
-from lss_motion.cli.terminal import LOOK_S, Inputs
+from lss_motion.cli.terminal import LOOK_S, Inputs, Terminal
 
 
 @pytest.mark.parametrize(
@@ -70,5 +70,33 @@ def test_in_virtual_time_keys_are_looked_for_now_and_then_and_signals_always(
         assert inputs.take() == (0, "q" if is_virtual else "")
         signal.raise_signal(signal.SIGINT)
         assert inputs.take() == (1, "")
+    for end in (keys, keyboard):
+        os.close(end)
+
+
+class Steered:
+    """Notes the orders of a terminal."""
+
+    def __init__(self):
+        self.orders = []
+
+    def stop(self, now_ns):
+        self.orders.append("stop")
+
+    def set_rate(self, rate, now_ns):
+        self.orders.append(rate)
+
+
+def test_a_stop_passes_all_keys_that_were_typed_before_it():
+    keys, keyboard = os.pipe()
+    steered = Steered()
+    with Terminal() as typed:
+        typed._keys_fd = keys
+        os.write(keyboard, b" " * 5000 + b"qq" + b" " * 100)
+        typed.act(steered, 0)
+        assert steered.orders == ["stop", "stop"], "a second one stops at once"
+        os.write(keyboard, b" ")
+        typed.act(steered, 0)
+        assert steered.orders[2:] == [0.0]
     for end in (keys, keyboard):
         os.close(end)
