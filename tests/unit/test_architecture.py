@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,10 +17,11 @@ FILE = re.compile(r"(?P<path>[\w/.]+\.(?:py|yaml|lss|md|toml|json))(?::(?P<name>
 FOLDER = re.compile(r"[\w/]+/")
 
 
-def names_in(tree: ast.Module) -> set[str]:
+@cache
+def names_in(path: Path) -> set[str]:
     """Return what a module defines or imports, and `Class.member` of its classes."""
     found: set[str] = set()
-    for node in tree.body:
+    for node in ast.parse(path.read_text("utf-8")).body:
         found |= defined(node)
         if isinstance(node, ast.ClassDef):
             found |= {f"{node.name}.{name}" for inner in node.body for name in defined(inner)}
@@ -50,7 +52,7 @@ def problem(span: str) -> str:
     path = place(match["path"])
     if not path.is_file():
         return "" if match["path"] in ("file.py", "__init__.py") else f"{span}: no such file"
-    if match["name"] and match["name"] not in names_in(ast.parse(path.read_text("utf-8"))):
+    if match["name"] and match["name"] not in names_in(path):
         return f"{span}: no such name in it"
     return ""
 
