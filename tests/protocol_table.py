@@ -116,13 +116,7 @@ LSS_ROWS = (
     DocumentRow(185, "UPDATE"),
     DocumentRow(190, "AS", "QAS", "CAS", default=0, session=True),
     DocumentRow(
-        191,
-        "AH",
-        "QAH",
-        "CAH",
-        default=4,
-        session=True,
-        decision="printed 1; firmware 36x has 4",
+        191, "AH", "QAH", "CAH", default=4, session=True, decision="printed 1; firmware 36x has 4"
     ),
     DocumentRow(
         192,
@@ -254,15 +248,7 @@ LSS_EXAMPLES = (
     Example(285, "#5P2334", 5, "P", 2334),
     Example(291, "#5QP", 5, "QP", None),
     Example(291, "*5QP2334", 5, "QP", 2334),
-    Example(
-        298,
-        "#5PD1456",
-        5,
-        "D",
-        145.6,
-        meant="#5D1456",
-        decision="a misprint of D (FACTS C7)",
-    ),
+    Example(298, "#5PD1456", 5, "D", 145.6, meant="#5D1456", decision="a misprint of D (FACTS C7)"),
     Example(306, "#5QD", 5, "QD", None),
     Example(306, "*5QD132", 5, "QD", 13.2),
     Example(313, "#5QDT", 5, "QDT", None),

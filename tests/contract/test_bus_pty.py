@@ -227,14 +227,7 @@ def test_every_setting_of_the_session_and_of_the_memory_is_read_back(tmp_path):
     table = LSS_TABLE.rows
     settings = {row.name for row in table if (row.actions or row.configs) and row.queries}
     tried = {*KEPT, *(key[1:] for key in ONLY_KEPT), *ONLY_SESSION} | {"CSL", "ID"}
-    moving = {
-        "P",
-        "D",
-        "WD",
-        "WR",
-        "MD_RAW",
-        "CR",
-    }
+    moving = {"P", "D", "WD", "WR", "MD_RAW", "CR"}
     assert settings - moving == tried - {"SCSL"}
     link = tmp_path / "lss"
     with served(make_robot(), link), opened(link) as port:

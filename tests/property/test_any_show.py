@@ -165,10 +165,7 @@ def show_of(random: np.random.Generator, robot: Robot, count: int, form: str) ->
             return sequence_of(random, robot, count, timing)
 
 
-@settings(
-    max_examples=settings().max_examples // 4,
-    suppress_health_check=list(HealthCheck),
-)
+@settings(max_examples=settings().max_examples // 4, suppress_health_check=list(HealthCheck))
 @given(
     seed=st.integers(0, 2**32 - 1),
     joints=st.sampled_from([1, 1, 2, 3, 5, 8, 12, 20, 40]),

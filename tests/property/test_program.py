@@ -36,9 +36,7 @@ from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.units import line_time_ns
 
-LAWS = settings(
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-)
+LAWS = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 ST1 = SERVO_MODELS["LSS-ST1"]
 angles = st.floats(-180.0, 180.0)
 speeds = st.floats(-400.0, 400.0)
@@ -253,8 +251,7 @@ def test_commands_that_the_line_grants_otherwise_than_requested_are_made_up_for(
 # ---- line
 
 requests = st.lists(
-    st.tuples(st.integers(0, 60_000), st.integers(200, 2_000), st.integers(0, 20_000)),
-    max_size=60,
+    st.tuples(st.integers(0, 60_000), st.integers(200, 2_000), st.integers(0, 20_000)), max_size=60
 )
 
 

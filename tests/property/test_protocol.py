@@ -38,10 +38,7 @@ if TYPE_CHECKING:
 IDS = st.integers(0, 255)
 WIRE = st.integers(WIRE_MIN, WIRE_MAX)
 TEXT = st.text("ABCXYZabc019-._ ", min_size=1, max_size=24)
-NOISE = st.one_of(
-    st.binary(max_size=200),
-    st.text("#*QDT0159-\r\n.", max_size=200).map(str.encode),
-)
+NOISE = st.one_of(st.binary(max_size=200), st.text("#*QDT0159-\r\n.", max_size=200).map(str.encode))
 SPOKEN = [
     (family, keyword, form, row)
     for family, table in FAMILY_TABLES.items()

@@ -165,9 +165,7 @@ def test_a_larger_tolerance_needs_hardly_ever_more_commands(seed, tolerance_deg,
 @given(
     st.lists(
         st.tuples(
-            st.integers(0, 250),
-            st.integers(-40_000, 40_000),
-            st.none() | st.integers(1, 30_000),
+            st.integers(0, 250), st.integers(-40_000, 40_000), st.none() | st.integers(1, 30_000)
         ),
         min_size=1,
     )

@@ -94,10 +94,7 @@ def test_a_wrong_command_is_refused_with_its_line(refusal, text, line, reason) -
 )  # fmt: skip
 def test_waits_pace_the_commands_from_the_instant_they_were_sent(read_one, wait: str) -> None:
     motion = read_one(CommandReader(), f"#1D100T500\n#2D0T1000\n{wait}\n#1D200T250\n")
-    assert keys(motion) == {
-        "ID1": [(0.5, 10.0), (0.75, 10.0), (1.0, 20.0)],
-        "ID2": [(1.0, 0.0)],
-    }
+    assert keys(motion) == {"ID1": [(0.5, 10.0), (0.75, 10.0), (1.0, 20.0)], "ID2": [(1.0, 0.0)]}
     assert any("paced by the waits" in comment for comment in motion.comments)
     assert not any("means nothing" in comment for comment in motion.comments)
 

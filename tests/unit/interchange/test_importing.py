@@ -105,8 +105,7 @@ def test_an_empty_file_is_called_empty(tmp_path: Path, data: bytes, format_name)
 
 
 @pytest.mark.parametrize(
-    "text",
-    ['{"keyframes": [{"dura', '{"keyframes": [{"duration": 1', '{"keyframes": ['],
+    "text", ['{"keyframes": [{"dura', '{"keyframes": [{"duration": 1', '{"keyframes": [']
 )
 def test_json_that_was_cut_off_is_called_so(tmp_path: Path, text: str) -> None:
     path = tmp_path / "half.json"

@@ -72,10 +72,7 @@ def test_every_key_is_needed(ease) -> None:
     assert len(own.times_s) < len(samples.times_s) / 4
     for left_out in range(1, len(own.times_s) - 1):
         fewer = interpolated(
-            ease,
-            np.delete(own.times_s, left_out),
-            np.delete(own.values, left_out),
-            samples.times_s,
+            ease, np.delete(own.times_s, left_out), np.delete(own.values, left_out), samples.times_s
         )
         assert np.abs(fewer - samples.values).max() > 1.0 - ROUNDING_DEG
 

@@ -10,13 +10,7 @@ import pytest
 import lss_motion as lss
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError, install_command
-from lss_motion.interchange.voice import (
-    Follow,
-    VoiceStyle,
-    _swells,
-    fitted,
-    voice_sequence,
-)
+from lss_motion.interchange.voice import Follow, VoiceStyle, _swells, fitted, voice_sequence
 from lss_motion.sound.envelope import Turn
 from lss_motion.sound.spectra import Part
 from tests.speech import spoken

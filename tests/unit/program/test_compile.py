@@ -103,10 +103,7 @@ def test_rounding_never_leaves_a_range_that_ends_between_two_wire_values(kit):
     assert {
         min(m.target_wire for m in program.moves),
         max(m.target_wire for m in program.moves),
-    } == {
-        -123,
-        123,
-    }
+    } == {-123, 123}
 
 
 def test_no_move_exceeds_the_speed_limit(kit):

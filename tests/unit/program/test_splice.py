@@ -47,12 +47,7 @@ def planned(robot, motion):
     times_s, angles, speeds = motion
     speeds[-1] = 0.0
     return given_motion(
-        "swing",
-        list(robot.joints),
-        robot,
-        times_s=times_s,
-        angles_deg=angles,
-        speeds_deg_s=speeds,
+        "swing", list(robot.joints), robot, times_s=times_s, angles_deg=angles, speeds_deg_s=speeds
     )
 
 

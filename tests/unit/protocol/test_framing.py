@@ -51,10 +51,7 @@ REPLIES = [
     (b"*5QF368\r", [Reply(5, "QF", 368)]),
     (b"*5QF368.29.14\r", [Reply(5, "QF", "368.29.14")]),
     (b"*5QZZ7\r", [Reply(5, "QZZ", 7)]),
-    (
-        b"*15QD960QT400*5QD500\r",
-        [Reply(15, "QD", 960), Reply(15, "QT", 400), Reply(5, "QD", 500)],
-    ),
+    (b"*15QD960QT400*5QD500\r", [Reply(15, "QD", 960), Reply(15, "QT", 400), Reply(5, "QD", 500)]),
 ]
 
 GARBAGE_COMMANDS = [

@@ -142,11 +142,7 @@ def test_an_rc_servo_with_its_own_pulses_gets_degrees_of_its_own(robot_path: Pat
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (
-            "[-83, 80]",
-            "[-83, 85]",
-            "to 85.5 deg; an LSS-2IO turns its servos by -86.0 to 81.0",
-        ),
+        ("[-83, 80]", "[-83, 85]", "to 85.5 deg; an LSS-2IO turns its servos by -86.0 to 81.0"),
         ("[500, 2500]", "[2500, 500]", "pulse_us must rise"),
         ("[500, 2500]", "[500]", "pulse_us"),
         ("LSS-2IO", "LSS-ST1", "pulse_us is for an RC servo on an LSS-2IO"),
@@ -391,10 +387,7 @@ def test_escalations_are_read_for_the_robot_and_for_a_joint(tmp_path) -> None:
         ("{astray: [hold, warn]}", "nothing comes after hold"),
         ("{astray: resume}", "nothing comes back from astray"),
         ("{lost_port: limp}", "a lost port takes no command"),
-        (
-            "{stalled: warn}",
-            "is not where the show is, so there is no warn",
-        ),
+        ("{stalled: warn}", "is not where the show is, so there is no warn"),
         ("{lost_turn: warn}", "a joint in another turn cannot be driven, so there is no warn"),
         ("{astray: [warn, warn]}", "warn stands there twice"),
         ("{astray: []}", "names no step"),

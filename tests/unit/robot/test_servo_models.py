@@ -68,10 +68,7 @@ def test_ramps_bound_timed_joints_only(tmp_path):
     ("joint", "reason"),
     [
         ("bus: old, drive: streamed", "cannot be streamed: that needs firmware 368 or later"),
-        (
-            "id: 112, model: LSS-P-S1, range_deg: [-180,180]",
-            "#112D-18000T9999 has more than",
-        ),
+        ("id: 112, model: LSS-P-S1, range_deg: [-180,180]", "#112D-18000T9999 has more than"),
         ("model: LSS-2IO, range_deg: [-95,0]", "would go to -95 deg"),
     ],
 )

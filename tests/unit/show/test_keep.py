@@ -104,8 +104,7 @@ tracks:
 
 
 @pytest.mark.parametrize(
-    ("keep", "talk"),
-    [("keep: time", {"jaw", "lip"}), ("keep: {lip: time}", {"lip"}), ("", set())],
+    ("keep", "talk"), [("keep: time", {"jaw", "lip"}), ("keep: {lip: time}", {"lip"}), ("", set())]
 )
 def test_tracks_inherit_and_override(load, keep, talk):
     sequence = load(f"{keep}\n{TRACKS}")

@@ -10,14 +10,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.show.load import load_sequence
-from lss_motion.show.model import (
-    Cue,
-    Interpolation,
-    Keyframe,
-    Sequence,
-    SoundStyle,
-    Step,
-)
+from lss_motion.show.model import Cue, Interpolation, Keyframe, Sequence, SoundStyle, Step
 from lss_motion.show.write import sequence_text, write_sequence
 
 if TYPE_CHECKING:

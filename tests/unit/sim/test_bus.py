@@ -92,8 +92,7 @@ def test_a_broadcast_action_reaches_all_and_a_broadcast_query_is_answered_by_all
 
 
 @pytest.mark.parametrize(
-    ("protocol", "said"),
-    [(0, "*15QG1T250|*5QG1T250|"), (1, "*15QG1T250*5QG1T250|")],
+    ("protocol", "said"), [(0, "*15QG1T250|*5QG1T250|"), (1, "*15QG1T250*5QG1T250|")]
 )
 def test_the_replies_to_a_group_have_one_end_each_or_one_for_all(
     make_host, make_servo, protocol, said

@@ -4,13 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.sim.profile import (
-    Ramps,
-    plan_move,
-    plan_stop,
-    plan_wheel,
-    travel_speed_deg_s,
-)
+from lss_motion.sim.profile import Ramps, plan_move, plan_stop, plan_wheel, travel_speed_deg_s
 
 ramps = st.builds(Ramps, st.floats(1.0, 600.0), st.floats(10.0, 2000.0), st.floats(10.0, 2000.0))
 positions = st.floats(-1000.0, 1000.0)

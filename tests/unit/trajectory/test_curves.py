@@ -12,10 +12,7 @@ from tests.unit.trajectory.shows import show, trapezoid_s
 
 
 def test_linear_moves_stay_on_a_straight_line(make_robot, frame):
-    frames = [
-        frame(0.0, base=0.0, elbow=10.0),
-        frame(2.0, base=80.0, elbow=-30.0, ease="linear"),
-    ]
+    frames = [frame(0.0, base=0.0, elbow=10.0), frame(2.0, base=80.0, elbow=-30.0, ease="linear")]
     deg = plan(show(*frames), make_robot()).sample(np.linspace(0.0, 2.0, 500))
     assert deg[:, 1] == pytest.approx(10.0 - deg[:, 0] / 2.0, abs=1e-9)
 

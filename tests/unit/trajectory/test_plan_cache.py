@@ -186,8 +186,7 @@ def test_an_entry_under_another_name_is_a_miss(fast_show, make_robot):
 
 
 @pytest.mark.parametrize(
-    "content",
-    [b"", b"\0" * 40, b"PK\x03\x04", b"[]", b"\x93NUMPY\x01\x00" + b"\xff" * 60],
+    "content", [b"", b"\0" * 40, b"PK\x03\x04", b"[]", b"\x93NUMPY\x01\x00" + b"\xff" * 60]
 )
 def test_sealed_nonsense_is_a_miss(content, fast_show, make_robot):
     planned = plan(fast_show, make_robot())

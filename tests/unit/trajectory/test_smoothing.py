@@ -150,12 +150,7 @@ def test_a_straight_line_stays_straight(frame, make_robot):
 
 
 def test_a_range_holds_where_the_joint_turns(frame, make_robot):
-    lid = show(
-        frame(0.0, base=60.0),
-        frame(0.4, base=0.0),
-        frame(1.4, base=60.0),
-        smooth_s=0.1,
-    )
+    lid = show(frame(0.0, base=60.0), frame(0.4, base=0.0), frame(1.4, base=60.0), smooth_s=0.1)
     robot = make_robot()
     joint = replace(robot.joints["base"], position_min_deg=0.0)
     trajectory = plan(lid, replace(robot, joints={**robot.joints, "base": joint}))
