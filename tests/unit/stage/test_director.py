@@ -28,6 +28,7 @@ from lss_motion.stage.model import (
     Trigger,
 )
 from lss_motion.units import NS_PER_S
+from tests.tables import titled
 
 NOON = datetime(2026, 7, 3, 12, 0, tzinfo=UTC)
 SHOWS = {
@@ -120,6 +121,27 @@ class Desk:
         for number in left:
             self.director.ended(number, "left", 4.0, self.now_ns)
 
+    def script(self, text):
+        """Do and compare, word by word.
+
+        `x` presses key x, `GO` is GO, `15s` waits, `-a` ends show a, `=a+wink` is what plays now,
+        `x:a_plays` why cue x was refused; `x:` says that it was not.
+        """
+        for word in text.split():
+            if word == "GO":
+                self.signal(Signal(kind=Kind.GO))
+            elif word[0] == "-":
+                self.finish(word[1:])
+            elif word[0] == "=":
+                assert (word, "+".join(self.shown)) == (word, word[1:])
+            elif ":" in word:
+                cue, reason = word.split(":", 1)
+                assert self.refusal(cue) == reason.replace("_", " "), word
+            elif word[-1] == "s" and word[:-1].isdigit():
+                self.wait(int(word[:-1]))
+            else:
+                self.press(word)
+
     @property
     def shown(self):
         return sorted(self.playing.values())
@@ -130,49 +152,78 @@ class Desk:
         return last.split("refused: ")[1].split(" (")[0] if "refused" in last else ""
 
 
-# ---- start modes
+# ---- scripts
 
 
-@pytest.mark.parametrize(
-    ("start", "show", "shown", "reason"),
-    [
-        ("only_if_idle", "b", ["a"], "a plays"),
-        ("add", "wink", ["a", "wink"], ""),
-        ("add", "jaw", ["a"], "jaw in use by a"),
-        ("interrupt", "b", ["b"], ""),
-        ("terminate", "b", ["b"], ""),
-        ("restart", "b", ["a"], "a plays"),
-        ("restart", "a", ["a"], ""),
-        ("queue", "b", ["a"], ""),
-    ],
-)
-def test_what_a_start_mode_does_while_a_show_plays(start, show, shown, reason):
-    desk = Desk(key("x"), key("y", play=show, start=start))
-    desk.press("x", "y")
-    assert desk.shown == shown
-    assert desk.refusal("y") == reason
+def starts(start, show="b", **other):
+    """Return the key x for show a, and y for another one."""
+    return key("x"), key("y", play=show, start=start, **other)
 
 
-@pytest.mark.parametrize("start", ["only_if_idle", "interrupt", "terminate", "restart", "queue"])
-def test_the_idle_show_gives_way_and_comes_back(start):
-    desk = Desk(key("y", play="b", start=start))
-    assert desk.shown == ["idle"]
-    desk.press("y")
-    assert desk.shown == ["b"]
-    desk.finish("b")
-    assert desk.shown == ["idle"]
+IDLE_GIVES_WAY = "=idle y =b -b =idle"
+SCRIPTS = {
+    "only_if_idle while a show plays": (starts("only_if_idle"), "x y =a y:a_plays"),
+    "add while other joints play": (starts("add", "wink"), "x y =a+wink y:"),
+    "add while its joints play": (starts("add", "jaw"), "x y =a y:jaw_in_use_by_a"),
+    "interrupt while a show plays": (starts("interrupt"), "x y =b y:"),
+    "terminate while a show plays": (starts("terminate"), "x y =b y:"),
+    "restart while another plays": (starts("restart"), "x y =a y:a_plays"),
+    "restart while it plays": (starts("restart", "a"), "x y =a y:"),
+    "queue while a show plays": (starts("queue"), "x y =a y:"),
+    **{
+        f"the idle show gives way to {start} and comes back": (starts(start), IDLE_GIVES_WAY)
+        for start in ("only_if_idle", "interrupt", "terminate", "restart", "queue")
+    },
+    "an added show leaves the idle show alone": (
+        (key("x"), key("w", play="wink", start="add")),
+        "w =idle+wink x x:wink_plays =idle+wink -wink x =a",
+    ),
+    "terminate also drops what waits": (
+        (
+            key("x"),
+            key("q", play="b", start="queue"),
+            key("i", play="jaw", start="interrupt"),
+            key("t", play="sleep", start="terminate"),
+        ),
+        "x q i t =sleep -sleep =idle",
+    ),
+    "the queue is played by priority, then in order, and each cue waits once": (
+        (
+            key("x"),
+            key("p", play="jaw", start="queue"),
+            key("q", play="b", start="queue"),
+            key("r", play="sleep", start="queue", priority=3),
+        ),
+        "x p q r q q:it_is_in_the_queue =a -a =sleep -sleep =jaw -jaw =b -b =idle",
+    ),
+    **{
+        f"a lower priority does not {start}": (
+            (key("x", priority=2), key("y", play="b", start=start, priority=1)),
+            "x y =a y:a_plays_with_priority_2",
+        )
+        for start in ("interrupt", "terminate")
+    },
+    "a cooldown begins when the show has ended": (
+        (key("x", cooldown_s=20.0, start="terminate"),),
+        "x x x:its_show_waits_or_plays,_and_it_has_a_cooldown -a 15s "
+        "x x:cooldown,_for_another_5.0_s 5s x =a",
+    ),
+    "a refused cue does not use up its turn": (
+        (key("x", play=["a", "b"]), key("y", play="sleep")),
+        "y x -sleep x =a",
+    ),
+}
 
 
-def test_an_added_show_leaves_the_idle_show_alone_and_ends_with_a_change():
-    desk = Desk(key("w", play="wink", start="add"), key("x"))
-    desk.press("w")
-    assert desk.shown == ["idle", "wink"]
-    assert [play.how for play in desk.plays] == ["change", "add"]
-    desk.press("x")
-    assert desk.shown == ["wink", "idle"] or desk.refusal("x") == "wink plays"
-    desk.finish("wink")
-    desk.press("x")
-    assert desk.shown == ["a"]
+@titled(("cues", "text"), SCRIPTS)
+def test_a_stage_does(cues, text):
+    Desk(*cues).script(text)
+
+
+def test_a_stage_that_waits_for_go_moves_nothing_before():
+    desk = Desk(key("x"), director={"waits_for_go": True}.items())
+    desk.script("x x:the_figure_rests:_waits_for_GO = GO =idle")
+    assert [play.show for play in desk.plays] == ["idle"]
 
 
 def test_an_interrupted_show_goes_on_where_it_was():
@@ -186,58 +237,7 @@ def test_an_interrupted_show_goes_on_where_it_was():
     assert desk.shown == ["idle"]
 
 
-def test_terminate_also_drops_what_waits():
-    desk = Desk(
-        key("x"),
-        key("q", play="b", start="queue"),
-        key("i", play="jaw", start="interrupt"),
-        key("t", play="sleep", start="terminate"),
-    )
-    desk.press("x", "q", "i", "t")
-    assert desk.shown == ["sleep"]
-    desk.finish("sleep")
-    assert desk.shown == ["idle"]
-    assert "show b of q dropped" in desk.notes
-    assert "show a of x dropped" in desk.notes
-
-
-def test_the_queue_is_played_by_priority_then_in_order_and_each_cue_waits_once():
-    desk = Desk(
-        key("x"),
-        key("p", play="jaw", start="queue"),
-        key("q", play="b", start="queue"),
-        key("r", play="sleep", start="queue", priority=3),
-    )
-    desk.press("x", "p", "q", "r", "q")
-    assert desk.refusal("q") == "it is in the queue"
-    for show in ("a", "sleep", "jaw", "b"):
-        assert desk.shown == [show]
-        desk.finish(show)
-    assert desk.shown == ["idle"]
-
-
-@pytest.mark.parametrize("start", ["interrupt", "terminate"])
-def test_a_show_is_not_ended_by_a_lower_priority(start):
-    desk = Desk(key("x", priority=2), key("y", play="b", start=start, priority=1))
-    desk.press("x", "y")
-    assert desk.shown == ["a"]
-    assert desk.refusal("y") == "a plays with priority 2"
-
-
 # ---- other refusals, and choices
-
-
-def test_a_cooldown_begins_when_the_show_has_ended():
-    desk = Desk(key("x", cooldown_s=20.0, start="terminate"))
-    desk.press("x", "x")
-    assert desk.refusal("x") == "its show waits or plays, and it has a cooldown"
-    desk.finish("a")
-    desk.wait(15)
-    desk.press("x")
-    assert desk.refusal("x") == "cooldown, for another 5.0 s"
-    desk.wait(5)
-    desk.press("x")
-    assert desk.shown == ["a"]
 
 
 def test_a_button_that_bounces_is_pressed_once():
@@ -271,14 +271,6 @@ def test_random_plays_each_show_once_before_any_again_and_none_twice_in_a_row():
     assert all(sorted(one) == ["a", "b", "sleep"] for one in rounds)
     assert len(set(rounds)) > 3
     assert all(one != two for one, two in pairwise(found))
-
-
-def test_a_refused_cue_does_not_use_up_its_turn():
-    desk = Desk(key("x", play=["a", "b"]), key("y", play="sleep"))
-    desk.press("y", "x")
-    desk.finish("sleep")
-    desk.press("x")
-    assert desk.shown == ["a"]
 
 
 def test_the_end_of_a_show_is_a_trigger_before_the_idle_show():
@@ -319,15 +311,6 @@ def test_go_fires_its_cues_in_turn_is_debounced_and_can_be_armed():
     desk.signal(Signal(kind=Kind.GO))
     assert desk.shown == ["sleep"]
     assert desk.director.next_go() == "a"
-
-
-def test_a_stage_that_waits_for_go_moves_nothing_before():
-    desk = Desk(key("x"), director={"waits_for_go": True}.items())
-    desk.press("x")
-    assert desk.refusal("x") == "the figure rests: waits for GO"
-    assert desk.plays == []
-    desk.signal(Signal(kind=Kind.GO))
-    assert desk.shown == ["idle"]
 
 
 def test_a_stage_begins_at_its_instant():
