@@ -164,7 +164,7 @@ class Sounds:
         if self._player is None:
             return
         try:
-            process = subprocess.Popen(  # noqa: S603  (a fixed program and the author's file)
+            process = subprocess.Popen(  # noqa: S603, TID251  (a fixed program and the author's file)
                 [*self._player, path],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -184,7 +184,7 @@ class Sounds:
         for thread in self._threads:
             thread.join()
 
-    def _wait(self, process: subprocess.Popen[str], path: str) -> None:
+    def _wait(self, process: subprocess.Popen[str], path: str) -> None:  # noqa: TID251
         assert process.stdout is not None
         last = self._reports.copy_lines(process.stdout)
         if code := process.wait():

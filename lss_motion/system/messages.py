@@ -206,6 +206,14 @@ class MessagePipe:
 Received = TypeVar("Received")
 
 
+def plain(value: Any) -> Any:  # noqa: ANN401
+    """Return a number of numpy as one of Python, and what is no JSON as a text."""
+    return value.item() if hasattr(value, "item") else str(value)
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder(enc_hook=plain)
+
+
 class TypedPipe(Generic[Received]):
     """A pipe on which the other end sends values of one type. Nothing raises.
 
@@ -224,11 +232,11 @@ class TypedPipe(Generic[Received]):
 
     def send(self, message: msgspec.Struct) -> bool:
         """Send what must arrive; return False if too much waits already, or the end is gone."""
-        return self.pipe.send(Kind.MESSAGE, msgspec.msgpack.encode(message))
+        return self.pipe.send(Kind.MESSAGE, _ENCODER.encode(message))
 
     def offer(self, message: msgspec.Struct) -> bool:
         """Send what is worthless later; return False if nothing was sent."""
-        return self.pipe.offer(Kind.MESSAGE, msgspec.msgpack.encode(message))
+        return self.pipe.offer(Kind.MESSAGE, _ENCODER.encode(message))
 
     def send_data(self, data: bytes, *, is_last: bool = False) -> bool:
         """Send bytes that must arrive; see `MessagePipe.send`."""
@@ -240,7 +248,7 @@ class TypedPipe(Generic[Received]):
 
     def send_fileno(self, message: msgspec.Struct, fileno: int) -> bool:
         """Send a message and a file number with it; see `MessagePipe.send_fileno`."""
-        return self.pipe.send_fileno(Kind.MESSAGE, msgspec.msgpack.encode(message), fileno)
+        return self.pipe.send_fileno(Kind.MESSAGE, _ENCODER.encode(message), fileno)
 
     def receive(self) -> list[Received]:
         """Return what has arrived, oldest first; what cannot be decoded is dropped."""

@@ -71,7 +71,7 @@ class ChildProcess(Closing, Generic[Received]):
         own, other = socket.socketpair()
         is_windows = sys.platform == "win32"
         with other:
-            self._process = subprocess.Popen(  # noqa: S603  our own program
+            self._process = subprocess.Popen(  # noqa: S603, TID251  (our own program, and the one place)
                 # -P: no module of the current folder is imported in place of an installed one.
                 [sys.executable, "-P", "-c", BEGIN, TOP, module, str(other.fileno()), *words],
                 pass_fds=() if is_windows else (other.fileno(), *inherits),

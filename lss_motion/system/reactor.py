@@ -38,7 +38,7 @@ def wait_for(
         time.sleep(left_s)  # noqa: TID251  (Windows refuses a select without sockets.)
         return []
     timeout_s = None if left_s == math.inf else left_s
-    can_read, can_write, _ = select.select(readable, writable, (), timeout_s)
+    can_read, can_write, _ = select.select(readable, writable, (), timeout_s)  # noqa: TID251
     return [*can_read, *can_write]
 
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import random
 import socket
+from typing import Any
 
+import numpy as np
 import pytest
+from msgspec import Struct
 
-from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
+from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError, TypedPipe
 
 
 @pytest.fixture
@@ -66,6 +69,20 @@ def test_the_end_of_the_other_end_is_noticed_after_its_last_message(ends):
     with pytest.raises(PipeClosedError):
         client.receive()
     assert not client.send(Kind.OPERATION, b"x")
+
+
+class Measured(Struct, frozen=True, tag=True):
+    angle_deg: float
+    values: dict[str, Any]
+
+
+def test_numbers_of_numpy_are_sent_as_what_they_are():
+    own, other = socket.socketpair()
+    with own, other:
+        values = {"count": np.int64(3), "is_on": np.bool_(True), "name": np.str_("elbow")}
+        TypedPipe(MessagePipe(own)).send(Measured(np.float64(1.5), values))
+        got = TypedPipe(MessagePipe(other), Measured).receive()
+    assert got == [Measured(1.5, {"count": 3, "is_on": True, "name": "elbow"})]
 
 
 @pytest.mark.parametrize("data", [b"?\x00\x00\x00\x00", b"e\xff\xff\xff\xff"])
