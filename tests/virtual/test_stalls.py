@@ -199,3 +199,25 @@ def test_other_drives_get_one_target_after_a_stall(stage, kit, drive, late_s):
     assert moves_at_once(played, 3.0, late_s) <= 1
     if drive == "streamed":
         assert_speeds_hold(played, 1.15)
+
+
+@pytest.mark.parametrize(
+    ("line", "at_s", "into_s", "late_s", "servo_id", "seed"),
+    [
+        ((3, 115200), 4.9678, 0.0457, 0.40, 3, 320),
+        ((3, 115200), 1.8637, 0.0760, 0.35, 3, 16),
+        ((6, 38400), 4.0059, 0.0707, 0.35, 2, 149),
+    ],
+)
+def test_a_servo_that_restarted_in_a_pause_of_the_host_keeps_its_limits(
+    stage, kit, line, at_s, into_s, late_s, servo_id, seed
+):
+    count, baud_bps = line
+    reset = Fault(kind=FaultKind.RESET, servo_id=servo_id, at_s=at_s, deaf_s=0.41)
+    pause_s = at_s + into_s
+    pause = Fault(kind=FaultKind.OVERSLEEP, at_s=pause_s, until_s=pause_s + 0.02, late_s=late_s)
+    sequence = kit.sequence(count, 5.0, seed=7, swing_deg=85.0, step_s=(0.5, 0.7))
+    robot = kit.robot(count, baud_bps=baud_bps)
+    played = stage.play(robot, sequence, faults=[reset, pause], seed=seed)
+    assert played.report.outcome == "finished"
+    assert_speeds_hold(played)

@@ -57,6 +57,9 @@ RATE_LEAST: Final = 0.01
 GAP_NS: Final = NS_PER_S // 4
 """A shorter delay is no stall. Chosen: four times the delay at which a move counts as missed
 (`quantize.LATEST_ARRIVAL_S`), and longer than any wait on a busy host that was measured."""
+HELD_UP_NS: Final = 60 * NS_PER_MS
+"""After a longer delay no servo gets a move before it has answered with its settings: it may have
+restarted meanwhile. Chosen: the delay at which a move counts as missed."""
 NAMED_MAX: Final = 10
 """Number of delays that are reported. On a host that is too slow, every move would be one."""
 STALL_REASON: Final = (
@@ -115,6 +118,8 @@ class Player:
         `leaves_ns` is the instant at which the bytes will leave, shortly after the call.
         """
         before_ns, self._machine.now_ns = self._machine.now_ns, leaves_ns
+        if self._stalls.is_held_up(leaves_ns) and self._machine.streamer is not None:
+            self._machine.streamer.hold_all(leaves_ns)
         if leaves_ns - before_ns >= GAP_NS:
             self._note_stall(leaves_ns)
         while self._machine.step(leaves_ns):
@@ -151,7 +156,12 @@ class Player:
         return self.trackers[bus].reads_ns(self._machine.now_ns) if is_streaming else None
 
     def is_due(self, leaves_ns: int) -> bool:
-        """Return whether a move must leave by then, before answers are used, which takes time."""
+        """Return whether a move must leave by then, before answers are used, which takes time.
+
+        Not on a host that was held up: a servo may have restarted meanwhile.
+        """
+        if self._stalls.is_held_up(leaves_ns):
+            return False
         due_ns = None if self._machine.streamer is None else self._machine.streamer.due_ns()
         return due_ns is not None and due_ns <= leaves_ns
 
@@ -488,6 +498,10 @@ class StallDetector:
         wakeup_ns, self.wakeup_ns = self.wakeup_ns, None
         gap_ns = 0 if wakeup_ns is None else now_ns - wakeup_ns
         return gap_ns if gap_ns >= GAP_NS else 0
+
+    def is_held_up(self, now_ns: int) -> bool:
+        """Return whether the call at `now_ns` is too late by more than `HELD_UP_NS`."""
+        return self.wakeup_ns is not None and now_ns - self.wakeup_ns > HELD_UP_NS
 
     def warning(self, gap_ns: int) -> str | None:
         """Return the warning about a delay in which no move was due; None: there were enough."""

@@ -172,6 +172,12 @@ class PollScheduler:
         if self.health.awaited:
             self.health.advance(now_ns)
 
+    def hold_all(self, now_ns: int) -> None:
+        """Hold back every servo until it answers to a probe: it may have restarted."""
+        for states in self._by_bus.values():
+            for state in states:
+                self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)
+
     def poll_behind(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Poll a servo of each bus that is due soon, behind the moves that leave now.
 
