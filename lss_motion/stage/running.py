@@ -169,8 +169,9 @@ class StageRun:
         """Added to the clock of the present run."""
         self._playing = Playing()
         self._rate, self._rated_ns = 1.0, 0
-        self._is_led = False
-        """Whether the present show follows the timecode."""
+        self._is_led = self._must_stop = False
+        """Whether the present show follows the timecode; and whether it is to be left, as soon as
+        the run has recovered."""
         self._records = Records(stage, self.wall, self._write)
         self._must_connect = True
         self._is_relaxing = self._is_over = False
@@ -248,7 +249,7 @@ class StageRun:
         self._playing = Playing()
         self._celsius, self._amperes = {}, {}
         self._rate, self._rated_ns = 1.0, -RATE_EVERY_NS
-        self._is_led = False
+        self._is_led = self._must_stop = False
         if self.timecode is not None:
             self.timecode.leave()
         self.state = "connecting"
@@ -452,12 +453,14 @@ class StageRun:
 
     def _obey(self, player: Player | None, now_ns: int = 0) -> None:
         """Do what the director has ordered; without a player only what needs none."""
+        if self._must_stop and player is not None:
+            self._stop(player, now_ns)
         while (order := self.director.next_order()) is not None:
             match order:
                 case orders.Play():
                     self._play(order, player, now_ns)
                 case orders.Stop() if player is not None:
-                    self._change(player, None, now_ns)
+                    self._stop(player, now_ns)
                 case orders.Relax() if player is not None:
                     self._is_relaxing = True
                     player.finish(now_ns)
@@ -480,6 +483,13 @@ class StageRun:
         except InputError as refused:
             self.director.refused(order.number, refused.reason, self.now_ns)
 
+    def _stop(self, player: Player, now_ns: int) -> None:
+        """Let no show play: at once, or when the run has recovered; one that ends plays none."""
+        try:
+            self._change(player, None, now_ns)
+        except InputError:
+            self._must_stop = True
+
     def _change(self, player: Player, order: orders.Play | None, now_ns: int) -> None:
         """Play another show in place of all, or none; those that had not begun are over at once."""
         program = None if order is None else player.repertoire.programs[order.show]
@@ -490,6 +500,7 @@ class StageRun:
             if order is not None and program is not None:
                 place_s = self.timecode.begin(order, program, player, now_ns, self._offset_ns)
         player.change_to(program, now_ns, start_s=start_s if place_s is None else place_s)
+        self._must_stop = False
         was_led = self._is_led
         self._is_led = self.timecode is not None and self.timecode.following is not None
         if was_led or self._is_led:  # It begins paused, and has the rate of its leader then.
