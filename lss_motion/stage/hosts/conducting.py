@@ -14,15 +14,16 @@ from random import Random
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.following import RUNNING_RATE
 from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director
 from lss_motion.stage.hosts.conductor import Wish
-from lss_motion.stage.job import direct
-from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.job import direct, signal_of
 from lss_motion.stage.records import Records, must_restart, renewed, state_word
 from lss_motion.stage.stage_timecode import READY_MAX_S
 from lss_motion.stage.triggering import JUMP_S
@@ -102,27 +103,18 @@ class ConductedStage:
     # ---- what arrives
 
     def take(self, figure: str, ask: Ask) -> None:
-        """Take a cue or a trigger that came to a figure."""
-        source = f"{figure}: {ask.source}" if ask.source else figure
-        if ask.what == "stop":  # The figures know it already.
-            self.director.halt(self.now_ns)
-            return
-        if ask.what == "cue":
-            if self.stage.cue(ask.cue) is None:
-                self.records.note("note", f"{figure} fires cue {ask.cue!r}, which there is not")
-                return
-            signal = Signal(kind=Kind.CUE, address=ask.cue, source=source)
-        elif ask.what == "go":
-            signal = Signal(kind=Kind.GO, source=source)
-        else:
-            try:
-                kind = Kind(ask.kind)
-            except ValueError:
-                return
-            signal = Signal(
-                kind=kind, address=ask.cue, value=ask.value, channel=ask.channel, source=source
-            )
-        self.director.signal(signal, self.now_ns)
+        """Take a cue, a trigger, GO or a stop that came to a figure."""
+        match ask.operation:
+            case m.Stop():  # The figures know it already.
+                self.director.halt(self.now_ns)
+            case s.Cue() | s.Trigger() | m.Go():
+                try:
+                    signal = signal_of(ask.operation, self.stage)
+                except InputError as refused:
+                    self.records.note("note", f"{figure}: {refused.reason}")
+                    return
+                source = f"{figure}: {signal.source}" if signal.source else figure
+                self.director.signal(replace(signal, source=source), self.now_ns)
 
     def obey(self, operation: m.AnyOperation) -> bool:
         """Carry out what an operator asks for; return whether it is for a stage with figures."""

@@ -323,18 +323,36 @@ class Conductor:
             self._after_leaving = State.CONNECTING
 
     def _leave(self, wish: Wish | None) -> None:
-        left, self._wish = self._wish, wish
-        show_s = self.legs.show_s(self._now_ns)
         if self.state is not State.LEAVING:
             self._after_leaving = State.STANDING
         if self.wanted == "armed":
             self._notes.append("STOP for all")
             self.stops += 1
-        self._stop_figures()
-        self._enter(State.LEAVING)
-        if left is not None and self.listener is not None:
-            reached_s = left.start_s if show_s is None else max(show_s, 0.0)
-            self.listener.ended(left.number, "left", reached_s, self._now_ns)
+        show_s = self.legs.show_s(self._now_ns)
+        start_s = 0.0 if self._wish is None else self._wish.start_s
+        self._drop(State.LEAVING, "left", start_s if show_s is None else max(show_s, 0.0))
+        self._wish = wish
+
+    def _drop(
+        self,
+        state: State,
+        outcome: Outcome | None = None,
+        show_s: float | None = None,
+        *,
+        reason: str = "",
+    ) -> None:
+        """Let go what plays or was to play, and tell what became of it: refused, or its end."""
+        wish, self._wish = self._wish, None
+        if self.wanted == "armed":
+            self._at_rest = "ready" if outcome == "finished" else "stopped"
+        self.legs.reset()
+        self._enter(state)
+        if wish is None or self.listener is None:
+            return
+        if outcome is None:
+            self.listener.refused(wish.number, reason, self._now_ns)
+        else:
+            self.listener.ended(wish.number, outcome, show_s, self._now_ns)
 
     # ---- what operators ask for
 
@@ -343,16 +361,11 @@ class Conductor:
         self._now_ns = now_ns
         self._notes.append("STOP for all")
         self.stops += 1
-        left, self._wish = self._wish, None
-        was_playing = self.state is State.PLAYING
-        if self.state in (State.READYING, State.ARMING, State.PLAYING):
-            self._stop_figures()
-            self._enter(State.STANDING)
-        if left is not None and self.listener is not None:
-            if was_playing:
-                self.listener.ended(left.number, "left", None, self._now_ns)
-            else:
-                self.listener.refused(left.number, "all were stopped", self._now_ns)
+        is_under_way = self.state in (State.READYING, State.ARMING, State.PLAYING)
+        outcome: Outcome | None = "left" if self.state is State.PLAYING else None
+        self._drop(
+            State.STANDING if is_under_way else self.state, outcome, reason="all were stopped"
+        )
 
     def pause(self, now_ns: int, *, is_paused: bool = True) -> None:
         """Let all stand, from an instant `LEAD_NS` ahead, or go on."""
@@ -397,7 +410,7 @@ class Conductor:
             if figure.status is not None or now_ns - self._begun_ns >= NAME_NS:
                 figure.note_problem(self._problem(figure), now_ns)
         if self.superseded and self.wanted == "armed":
-            self._give_up()
+            self._drop(State.STANDING, "left")
         self._go_on()
         notes, self._notes = self._notes, []
         for figure in self.figures.values():
@@ -437,11 +450,6 @@ class Conductor:
         text = f"begins without {', '.join(absent)}" if absent else "all figures are there"
         if self.listener is not None:
             self.listener.connected(text, self._now_ns)
-
-    def _stop_figures(self) -> None:
-        if self.wanted == "armed":
-            self._at_rest = "stopped"
-        self.legs.reset()
 
     def _await_stop(self) -> None:
         """Go on when no figure has a player; a figure that does not stop is not waited for."""
@@ -509,21 +517,17 @@ class Conductor:
                     f"all stand at the start after {self.armed_s or 0.0:.1f} s: starts"
                 )
                 self._enter(State.PLAYING)
-        elif self._is_past(ARM_S) or any(self._has_failed(one) for one in self._expected()):
+        elif self._is_past(ARM_S) or any(one.name not in self._without for one in self._ended()):
             problems = "; ".join(self.problems(self._now_ns))
             self._notes.append(f"the start is given up: {problems}")
             if fallen := self._fallen():
                 self._fail(fallen)
             else:
                 self.stops += 1
-                self._stop_figures()
                 self._refuse(problems or "the start was given up")
 
     def _refuse(self, reason: str) -> None:
-        wish, self._wish = self._wish, None
-        self._enter(State.STANDING)
-        if wish is not None and self.listener is not None:
-            self.listener.refused(wish.number, reason, self._now_ns)
+        self._drop(State.STANDING, reason=reason)
 
     # ---- while it plays
 
@@ -533,7 +537,8 @@ class Conductor:
         assert leg is not None, "a show plays"
         assert wish is not None
         if self._is_over():
-            self._finish(wish)
+            self._notes.append("the show has ended")
+            self._drop(State.STANDING, "finished")
             return
         if leg.instant_ns <= self._now_ns:
             self._obey_others(leg)
@@ -564,23 +569,6 @@ class Conductor:
         }
         is_played = show_s > cast.duration_s and not {"playing", "arming"} & states
         return is_played or show_s > cast.duration_s + OVER_S
-
-    def _finish(self, wish: Wish) -> None:
-        """End a show that is over: figures rest, and keep its cast ready."""
-        self._notes.append("the show has ended")
-        self._wish, self._at_rest = None, "ready"
-        self.legs.reset()
-        self._enter(State.STANDING)
-        if self.listener is not None:
-            self.listener.ended(wish.number, "finished", None, self._now_ns)
-
-    def _give_up(self) -> None:
-        """Leave the figures to the conductor that they follow."""
-        left, self._wish = self._wish, None
-        self._stop_figures()
-        self._enter(State.STANDING)
-        if left is not None and self.listener is not None:
-            self.listener.ended(left.number, "left", None, self._now_ns)
 
     def _fail(self, figures: Sequence[RemoteFigure]) -> None:
         """End the show for all; the director decides about another attempt."""
@@ -675,23 +663,20 @@ class Conductor:
         has_ended = figure.status is not None and figure.status.state == "ended"
         return not figure.problem and (has_ended or self._is_armed(figure))
 
-    def _has_failed(self, figure: RemoteFigure) -> bool:
-        """Return whether its player has ended before the start."""
-        is_of_run, status = figure.is_of(self.epoch, self.run), figure.status
-        is_over = status is not None and status.state in ("stopped", "out")
-        return is_of_run and is_over and bool(self._problem(figure))
-
-    def _fallen(self) -> list[RemoteFigure]:
-        """Return the figures whose player has ended with a fault."""
+    def _ended(self) -> list[RemoteFigure]:
+        """Return the figures that are out of this run, or whose player has ended in it."""
         return [
             one
             for one in self._cast_figures()
             if one.status is not None
+            and one.is_of(self.epoch, self.run)
             and not one.is_lost(self._now_ns)
-            and one.status.state == "stopped"
-            and one.status.run == self.run
-            and one.status.cause
+            and one.status.state in ("stopped", "out")
         ]
+
+    def _fallen(self) -> list[RemoteFigure]:
+        """Return those of them whose player has ended with a fault."""
+        return [one for one in self._ended() if one.status is not None and one.status.cause]
 
 
 def _is_near(leader: Leg | None, now_ns: int) -> bool:

@@ -23,9 +23,9 @@ from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.stage.hosts.clocks import REFUSE_NS, WARN_NS
-from lss_motion.stage.hosts.messages import Ask, Examined, Finding, Findings, packed, parse
+from lss_motion.stage.hosts.messages import Ask, Examine, Examined, Finding, Findings, packed, parse
 from lss_motion.stage.hosts.plans import robot_hash
-from lss_motion.units import NS_PER_MS, NS_PER_S
+from lss_motion.units import NS_PER_MS, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,6 +43,8 @@ DONE_S: Final = 5.0
 """A conductor that is served has answered so long after it has given up a figure."""
 DISK_MIN_BYTES: Final = 200_000_000
 """Chosen: a night of logs with their bound, and the plans of some shows."""
+OWN: Final = "0" * 16
+"""The question of the doctor itself: what is found is sent to no other process."""
 TEXTS_MAX: Final = 30
 """Findings of one figure that are sent: what is bad first."""
 
@@ -107,34 +109,37 @@ def examine_stage(
 
     `host` is that of the conductor, which plays nothing meanwhile; `robots` are those of its files.
     """
-    version = host.figure.version
     hashes = {name: robot_hash(robot) for name, robot in robots.items()}
-    conductor = host.conductor
-    assert conductor is not None, "the conductor's computer examines"
-    conductor.examines = 1
-    end = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
-    names = list(conductor.figures)
-    while time.monotonic() < end:
+    examining = Examining(host, OWN, time.monotonic_ns(), hashes, wait_s)
+    while (found := examining.turn(time.monotonic_ns())) is None:
         host.turn()
-        if all(_is_known(host, conductor.figures[name]) for name in names):
-            break
-    rows = []
-    for name in names:
-        figure = conductor.figures[name]
-        rows += rows_of(figure, host.findings.get(name), version, hashes.get(name))
-    return rows
+    return [row for one in found for row in rows_in(one)]
+
+
+def rows_in(one: Examined) -> list[Row]:
+    """Return the rows that were sent about one figure."""
+    return [Row(one.figure, row.subject, row.level, row.text) for row in one.rows]
 
 
 class Examining:
-    """An examination by a conductor that is served; `turn` is called until it is done."""
+    """An examination by the conductor; `turn` is called until it is done."""
 
-    def __init__(self, host: Examiner, asked: str, now_ns: int) -> None:
+    def __init__(
+        self,
+        host: Examiner,
+        asked: str,
+        now_ns: int,
+        robots: Mapping[str, str] | None = None,
+        wait_s: float | None = None,
+    ) -> None:
+        """`robots` are the hashes of those in the files here; else those of the show that is on."""
         conductor = host.conductor
         assert conductor is not None, "the conductor's computer examines"
         conductor.examines += 1
         self._host, self._conductor, self._asked = host, conductor, asked
         self._number = conductor.examines
-        self._end_ns = now_ns + round(WAIT_S * NS_PER_S)
+        self._robots = robots
+        self._end_ns = now_ns + ns_from_s(WAIT_S if wait_s is None else wait_s)
 
     def turn(self, now_ns: int) -> list[Examined] | None:
         """Return what was found about each figure; None: it is not done yet."""
@@ -143,15 +148,16 @@ class Examining:
             self._is_done(one, now_ns) for one in figures.values()
         ):
             return None
-        cast = self._conductor.cast
-        parts = {} if cast is None else cast.parts
+        cast, robots = self._conductor.cast, self._robots
+        if robots is None:
+            robots = {} if cast is None else {name: one.robot for name, one in cast.parts.items()}
         found = []
         for name, figure in figures.items():
             rows = rows_of(
                 figure,
                 self._findings(name),
                 self._host.figure.version,
-                parts[name].robot if name in parts else None,
+                robots.get(name),
             )
             if figure.status is not None and figure.is_lost(now_ns):
                 rows.insert(0, Row(name, "network", "bad", "is lost: nothing arrives from it"))
@@ -182,7 +188,7 @@ def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None
     from lss_motion.stage.hosts.peer import Peer
 
     asked = secrets.token_hex(8)
-    ask = Ask(what="examine", number=1, instance=asked)
+    ask = Ask(operation=Examine(), number=1, instance=asked)
     found: dict[str, Examined] = {}
     end = time.monotonic() + (WAIT_S if wait_s is None else wait_s) + DONE_S
     asked_again = 0.0
@@ -199,17 +205,7 @@ def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None
                         found[one.figure] = one
     if not found:
         raise BusError(f"the conductor at {settings.address} does not answer")
-    return [
-        Row(name, row.subject, row.level, row.text)
-        for name in settings.figures
-        if name in found
-        for row in found[name].rows
-    ]
-
-
-def _is_known(host: Examiner, figure: RemoteFigure) -> bool:
-    has_clock = figure.status is not None and figure.status.bound_ns is not None
-    return has_clock and figure.name in host.findings
+    return [row for name in settings.figures if name in found for row in rows_in(found[name])]
 
 
 def rows_of(

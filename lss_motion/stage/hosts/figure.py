@@ -173,41 +173,38 @@ class Deed(StrEnum):
     FREEWHEEL = "freewheel"
 
 
-_STOP: Final[Mapping[Does, FigureState | Deed]] = {
-    "starting": Deed.STOP,
-    "standing": Deed.STOP,
-    "playing": Deed.STOP,
-    "stopping": "stopping",
-}
-
-
-def _without_player(found: FigureState | Deed) -> Mapping[Does, FigureState | Deed]:
-    return {"none": found, "ended": found, "failed": found}
+def _row(
+    without: FigureState | Deed,
+    starting: FigureState | Deed = Deed.STOP,
+    standing: FigureState | Deed = Deed.STOP,
+    playing: FigureState | Deed = Deed.STOP,
+    *,
+    ended: FigureState | None = None,
+) -> Mapping[Does, FigureState | Deed]:
+    """Return a row of the table; `without` is for all that have no player."""
+    return {
+        "none": without,
+        "starting": starting,
+        "standing": standing,
+        "playing": playing,
+        "stopping": "stopping",
+        "ended": ended or without,
+        "failed": without,
+    }
 
 
 TABLE: Final[Mapping[Wants, Mapping[Does, FigureState | Deed]]] = {
-    "unknown": {**_without_player("alone"), **_STOP},
-    "lost": {**_without_player("alone"), **_STOP, "playing": Deed.FREEWHEEL},
-    "nothing": {**_without_player("idle"), **_STOP},
-    "stopped": {**_without_player("stopped"), **_STOP},
-    "ready": {**_without_player(Deed.PREPARE), **_STOP},
-    "armed": {**_without_player(Deed.ARM), **_STOP},
-    "the run": {
-        "none": "stopped",
-        "starting": "arming",
-        "standing": Deed.FOLLOW,
-        "playing": Deed.FOLLOW,
-        "stopping": "stopping",
-        "ended": "ended",
-        "failed": "stopped",
-    },
+    "unknown": _row("alone"),
+    "lost": _row("alone", playing=Deed.FREEWHEEL),
+    "nothing": _row("idle"),
+    "stopped": _row("stopped"),
+    "ready": _row(Deed.PREPARE),
+    "armed": _row(Deed.ARM),
+    "the run": _row("stopped", "arming", Deed.FOLLOW, Deed.FOLLOW, ended="ended"),
 }
 """The state, or what is done, by what is wanted and what the player does."""
 WHY_STOPPED: Final[Mapping[Wants, str]] = {
-    "unknown": "there is no conductor",
     "lost": "the conductor is lost before the start",
-    "nothing": "the conductor stopped all",
-    "stopped": "the conductor stopped all",
     "ready": "the conductor ended the run",
     "armed": "the conductor ended the run",
 }
@@ -492,7 +489,11 @@ class Figure:
         found = TABLE[wants][does]
         match found:
             case Deed.STOP:
-                return self._stop(self._why or WHY_STOPPED[wants], now_ns, actions)
+                return self._stop(
+                    self._why or WHY_STOPPED.get(wants, "the conductor stopped all"),
+                    now_ns,
+                    actions,
+                )
             case Deed.PREPARE:
                 return self._prepare(now_ns, actions)
             case Deed.ARM:

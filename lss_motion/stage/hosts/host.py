@@ -36,6 +36,7 @@ from lss_motion.stage.hosts.messages import (
     Catalogue,
     ClockAnswer,
     ClockQuestion,
+    Examine,
     Findings,
     Status,
     StopAll,
@@ -91,6 +92,16 @@ class PlayerEnd(Protocol):
 
     def close(self) -> None:
         """End it, and wait until it has ended."""
+
+
+def asked_for(operation: m.Operation) -> str:
+    """Return what a figure asks for, in words."""
+    match operation:
+        case s.Trigger():
+            return f"trigger {operation.kind} {operation.address}"
+        case s.Cue():
+            return f"cue {operation.label}"
+    return str(getattr(operation, "op", ""))
 
 
 class Host:
@@ -196,34 +207,23 @@ class Host:
             self.log("STOP for all")
         else:
             self.conductor.stop(self._now_ns())
-        self._ask("stop")
+        self._ask(m.Stop())
 
     def obey(self, operation: m.AnyOperation, origin: str) -> None:
         """Pass on what this computer was asked for; a stop is carried out here, too."""
         match operation:
-            case s.Trigger():
-                self._ask(
-                    "trigger",
-                    kind=operation.kind,
-                    cue=operation.address,
-                    value=operation.value,
-                    channel=operation.channel,
-                    source=operation.source or origin,
-                )
-            case s.Cue():
-                self._ask("cue", cue=operation.label)
-            case m.Go():
-                self._ask("go")
             case m.Stop() | m.Estop():
                 self.stop()
+            case m.Go():
+                self._ask(operation)
+            case s.Trigger() | s.Cue():
+                self._ask(operation.model_copy(update={"source": operation.source or origin}))
             case _:
                 raise InputError(f"{operation.op} is for the conductor's computer")
 
-    def _ask(self, what: str, **more: object) -> None:
+    def _ask(self, operation: m.Go | m.Stop | s.Cue | s.Trigger) -> None:
         self._ask_count += 1
-        ask = Ask.model_validate(
-            {"what": what, "number": self._ask_count, "instance": self.instance, **more}
-        )
+        ask = Ask(operation=operation, number=self._ask_count, instance=self.instance)
         if self.conductor is None:
             self._asks.extend([ask] * ASK_TIMES)
         else:
@@ -303,16 +303,13 @@ class Host:
                 self._obey(ask, parts[1])
 
     def _obey(self, ask: Ask, figure: str) -> None:
-        name = f" {ask.kind} {ask.cue}".rstrip()
-        self.log(f"figure {figure} asks for {ask.what}{name}")
-        match ask.what:
-            case "stop":
-                self.conducts.stop(self._now_ns())
-                self.cues.append((figure, ask))
-            case "examine":
-                self._examining = Examining(self, ask.instance, self._now_ns())
-            case _:
-                self.cues.append((figure, ask))
+        self.log(f"figure {figure} asks for {asked_for(ask.operation)}")
+        if isinstance(ask.operation, Examine):
+            self._examining = Examining(self, ask.instance, self._now_ns())
+            return
+        if isinstance(ask.operation, m.Stop):
+            self.conducts.stop(self._now_ns())
+        self.cues.append((figure, ask))
 
     def _take_token(self, parts: list[str], *, is_alive: bool) -> None:
         if parts[0] == "conductor":

@@ -27,7 +27,9 @@ from typing import Annotated, Final, Literal, TypeVar
 from pydantic import Field, ValidationError
 
 from lss_motion.errors import InputError
-from lss_motion.playing.remote.schema import Message
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.message import Message, Operation
 
 PROTOCOL: Final = 4
 """Conductor and figures must have the same."""
@@ -182,17 +184,19 @@ class Status(Message):
     """The last thing a person should know."""
 
 
+class Examine(Operation):
+    """Let all figures examine their computers and servos (`doctor --stage`)."""
+
+    op: Literal["examine"] = "examine"
+
+
+Asked = Annotated[m.Go | m.Stop | s.Cue | s.Trigger | Examine, Field(discriminator="op")]
+
+
 class Ask(Message):
     """A figure's wish to the conductor."""
 
-    what: Literal["go", "stop", "cue", "trigger", "examine"]
-    cue: Annotated[str, Field(max_length=256)] = ""
-    """Name of the cue, or address of the trigger."""
-    kind: Annotated[str, Field(max_length=16)] = ""
-    """Of a trigger, as those of `stage.model.Signal`."""
-    value: float | None = None
-    channel: int | None = None
-    source: Annotated[str, Field(max_length=200)] = ""
+    operation: Asked
     number: Annotated[int, Field(ge=0)]
     """Counts the wishes of this figure's process: a repeated one is the same."""
     instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]

@@ -8,6 +8,8 @@ import pytest
 from benches.network import moving, one_joint, played
 from benches.stage_model import World
 from lss_motion.errors import InputError
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.playing.remote.stage_messages import StageState
 from lss_motion.stage.hosts.conducting import ConductedStage, Offer
@@ -99,17 +101,24 @@ def evening(tmp_path):
     return begun(tmp_path, STAGE)
 
 
-def ask(**fields):
-    return Ask(number=1, instance="0" * 16, **fields)
+def ask(operation):
+    return Ask(operation=operation, number=1, instance="0" * 16)
+
+
+def key(address):
+    return ask(s.Trigger(kind="key", address=address, source="keyboard"))
+
+
+DOOR = ask(s.Trigger(kind="osc", address="/door", value=1.0))
 
 
 def test_a_trigger_at_any_figure_interrupts_the_show_of_all_which_is_resumed(evening):
     evening.until(lambda: evening.playing("idle"), 30.0)
     evening.until(lambda: evening.conductor.show_s(evening.world.now_ns) > 2.0, 10.0)
-    evening.run.take("f2", ask(what="trigger", kind="key", cue="h", source="keyboard"))
+    evening.run.take("f2", key("h"))
     evening.until(lambda: evening.playing("hello"), 60.0)
     evening.until(lambda: evening.conductor.show_s(evening.world.now_ns) > 5.0, 10.0)
-    evening.run.take("f1", ask(what="trigger", kind="osc", cue="/door", value=1.0))
+    evening.run.take("f1", DOOR)
     evening.until(lambda: evening.playing("scare"), 30.0)
     assert evening.conductor.legs.newest.show_s == 0.0
     evening.until(lambda: evening.playing("hello"), 60.0)
@@ -127,7 +136,7 @@ def test_what_may_come_is_fetched_and_verified_before_so_that_a_cue_waits_for_ro
     evening.until(lambda: evening.conductor.show_s(evening.world.now_ns) > 3.0, 10.0)
     logs = [one.log for one in evening.world.hosts.values()]
     marks = [len(log) for log in logs]
-    evening.run.take("f1", ask(what="trigger", kind="osc", cue="/door", value=1.0))
+    evening.run.take("f1", DOOR)
     evening.until(lambda: evening.playing("scare"), 30.0)
     for log, mark in zip(logs, marks, strict=True):
         assert not any("fetching" in line or "verifying" in line for line in log[mark:]), log[mark:]
@@ -171,8 +180,8 @@ def test_a_stage_that_holds_for_a_figure_waits_for_it(evening):
 
 def test_a_cue_that_there_is_not_is_named_and_a_stop_ends_all(evening):
     evening.until(lambda: evening.playing("idle"), 30.0)
-    evening.run.take("f1", ask(what="cue", cue="nothing"))
-    assert "f1 fires cue 'nothing', which there is not" in evening.texts()
+    evening.run.take("f1", ask(s.Cue(label="nothing")))
+    assert "f1: no cue 'nothing'; there are" in evening.texts()
     evening.run.director.do("rest", evening.world.now_ns)
     evening.until(lambda: evening.world.states() == {"stopped"}, 20.0)
     began_ns = evening.world.now_ns
@@ -184,14 +193,14 @@ def test_a_cue_that_there_is_not_is_named_and_a_stop_ends_all(evening):
 def test_a_stop_at_any_figure_lasts_until_something_is_played(evening):
     world, conductor = evening.world, evening.conductor
     evening.until(lambda: evening.playing("idle"), 30.0)
-    evening.run.take("f2", ask(what="trigger", kind="key", cue="h", source="keyboard"))
+    evening.run.take("f2", key("h"))
     conductor.stop(world.now_ns)
-    evening.run.take("f2", ask(what="stop"))
+    evening.run.take("f2", ask(m.Stop()))
     evening.until(lambda: world.states() == {"stopped"}, 10.0)
     run_until_ns = world.now_ns + 20 * NS_PER_S
     evening.until(lambda: world.now_ns >= run_until_ns, 30.0)
     assert world.states() == {"stopped"}
-    evening.run.take("f1", ask(what="go"))
+    evening.run.take("f1", ask(m.Go()))
     evening.until(lambda: evening.playing("idle"), 30.0)
     assert "GO: the stage goes on" in evening.texts()
 

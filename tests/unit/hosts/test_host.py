@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from lss_motion.playing.remote import stage_messages as s
 from lss_motion.robot.load import load_robot
 from lss_motion.stage.hosts.host import Host
 from lss_motion.stage.hosts.messages import Ask, packed
@@ -53,8 +54,8 @@ def conductor(tmp_path):
     return host, peer
 
 
-def asked(host, peer, figure, **fields):
-    ask = Ask(what="cue", instance="0" * 16, **{"cue": "x", **fields})
+def asked(host, peer, figure, number):
+    ask = Ask(operation=s.Cue(label="x"), number=number, instance="0" * 16)
     peer.arrivals.append(Arrival("message", f"figure/{figure}/ask", packed(ask), 0))
     host.turn()
     return len(host.cues)
@@ -62,12 +63,12 @@ def asked(host, peer, figure, **fields):
 
 def test_a_wish_that_is_repeated_counts_once_and_a_forged_number_silences_nobody(conductor):
     host, peer = conductor
-    assert asked(host, peer, "right", number=1) == 1
-    assert asked(host, peer, "right", number=1) == 1
-    assert asked(host, peer, "right", number=10**9) == 2
-    assert asked(host, peer, "right", number=2) == 3
-    assert asked(host, peer, "right", number=1) == 3
-    assert asked(host, peer, "nobody", number=5) == 3
+    assert asked(host, peer, "right", 1) == 1
+    assert asked(host, peer, "right", 1) == 1
+    assert asked(host, peer, "right", 10**9) == 2
+    assert asked(host, peer, "right", 2) == 3
+    assert asked(host, peer, "right", 1) == 3
+    assert asked(host, peer, "nobody", 5) == 3
 
 
 def test_a_computer_of_another_version_is_named_whatever_its_messages_have(conductor):
