@@ -28,7 +28,7 @@ DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
 BYTES_MAX: Final = 128 * 1024 * 1024
 """The oldest entries are removed beyond this size. Chosen: some fifty long shows."""
 
-PLAN_SUFFIX: Final = ".plan.npz"
+PLAN_SUFFIX: Final = ".plan"
 SHOW_SUFFIX: Final = ".show"
 _UNFINISHED: Final = ".lss_part"
 _SUFFIXES: Final = (PLAN_SUFFIX, SHOW_SUFFIX, _UNFINISHED)

@@ -5,6 +5,7 @@
 | `trajectory/`   | `Sequence` → `Trajectory`: within every limit       | `shows`, `playing.api`   |
 | `program/`      | `Trajectory` → `Program`: timed commands, verified  | `shows`, `playing.api`   |
 | `shows.py`      | a file to a show: loaded, planned, compiled         | `cli`, `stage`, `studio` |
+| `kept.py`       | values on disk, found by what they depend on        | `trajectory`             |
 | `show_cache.py` | a show whose files are unchanged, loaded as a whole | `cli`                    |
 | `summaries.py`  | the text of plans and programs for people           | `cli`, `studio`          |
 | `picture.py`    | figures of matplotlib that look alike               | `trajectory.plot`, `cli` |

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from lss_motion.cli import main as program
 from lss_motion.cli import play
 from lss_motion.files import cache
-from lss_motion.planning import show_cache, shows
+from lss_motion.planning import kept, show_cache, shows
 from lss_motion.planning.program.move_table import table_of
 
 EXAMPLES = Path(__file__).parents[2] / "sequences"
@@ -86,14 +86,12 @@ def seal(content):
     """Write an entry as the program does, with a mark that is right."""
     path = entry()
     name = path.name.removesuffix(cache.SHOW_SUFFIX).encode()
-    mark = cache.mark_of([name, *show_cache._versions(), content])
+    mark = cache.mark_of([name, *kept.versions(), content])
     path.write_bytes(mark + content)
 
 
 def states_and_show():
-    content = entry().read_bytes()[cache.MARK_BYTES :]
-    states = pickle.loads(content)
-    return states, content[len(pickle.dumps(states, show_cache.PROTOCOL)) :]
+    return pickle.loads(entry().read_bytes()[cache.MARK_BYTES :])
 
 
 def test_a_kept_show_is_the_show_that_was_made(folder):
@@ -149,13 +147,17 @@ def test_another_version_of_the_program_is_a_miss(nod, folder, monkeypatch):
     planner = package / "planning" / "trajectory" / "planner.py"
     planner.parent.mkdir(parents=True)
     planner.write_text("A = 1\n")
-    monkeypatch.setattr(show_cache, "__file__", str(package / "planning/show_cache.py"))
+    monkeypatch.setattr(kept, "__file__", str(package / "planning/kept.py"))
     for count in (2, 2):
+        kept.versions.cache_clear()
         nod.cached()
         assert nod.count == count
     planner.write_text("A = 12\n")
+    kept.versions.cache_clear()
     nod.cached()
     assert nod.count == 3
+    monkeypatch.undo()
+    kept.versions.cache_clear()
 
 
 def test_damage_anywhere_is_a_miss(nod):
@@ -216,7 +218,7 @@ def test_what_is_sealed_calls_no_function(nod, folder):
     ):
         states, _ = states_and_show()
         before = nod.count
-        seal(pickle.dumps(states, show_cache.PROTOCOL) + pickle.dumps(call))
+        seal(pickle.dumps((states, call), kept.PROTOCOL))
         nod.cached()
         assert nod.count == before + 1
     assert not (folder / "made").exists()
@@ -230,11 +232,10 @@ def test_sealed_nonsense_is_a_miss(content, nod):
 
 
 def test_a_sealed_program_that_breaks_a_limit_is_a_miss(nod):
-    states, packed = states_and_show()
-    show = pickle.loads(packed)
+    states, show = states_and_show()
     further = [move._replace(target_wire=5 * move.target_wire) for move in show.program.moves]
     show = replace(show, program=replace(show.program, moves=table_of(further)))
-    seal(pickle.dumps(states, show_cache.PROTOCOL) + pickle.dumps(show, show_cache.PROTOCOL))
+    seal(pickle.dumps((states, show), kept.PROTOCOL))
     assert list(nod.cached().program.moves) != further
     assert nod.count == 2
 

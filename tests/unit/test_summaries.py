@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.shows import Show
 from lss_motion.planning.summaries import limit_uses, plan_lines, program_lines, show_as_json
-from lss_motion.planning.trajectory import plan_cache
+from lss_motion.planning.trajectory import kept_plans
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.show.load import load_sequence
@@ -125,7 +125,7 @@ def test_a_late_layer_is_not_on_time(robot):
 def test_a_late_keyframe_is_named_with_its_file_and_line_from_the_cache_too(
     robot, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(plan_cache, "PIECES_MIN", 0)
+    monkeypatch.setattr(kept_plans, "PIECES_MIN", 0)
     head = "sequence: {name}\nkeyframes:\n  - {{at_s: 0, deg: {{base: 0}}}}\n"
     late = head + "  - {{at_s: 0.1, deg: {{base: 100}}}}\n  - {{at_s: 3, deg: {{base: 0}}}}\n"
     (tmp_path / "lay.yaml").write_text(late.format(name="lay"))

@@ -24,8 +24,7 @@
 | `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
 | `smoothing.py`  | no jumps of the acceleration, where that is wanted   | planner, layers         |
 | `verify.py`     | independent check against all limits                 | tracks, layers, planner |
-| `plan_cache.py` | plans on disk, found by content, not trusted         | planner, layers         |
-| `recheck.py`    | closed-form check of a stored plan against limits    | plan_cache              |
+| `kept_plans.py` | plans on disk, verified again when they are loaded   | planner, layers         |
 | `explain.py`    | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
 | `eases.py`      | where `spline` or `smooth` makes a motion later      | cli                     |
 | `plot.py`       | a picture of a trajectory                            | cli                     |

@@ -16,8 +16,9 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory.curves import peaks
+from lss_motion.planning.trajectory.kept_plans import cache_name
 from lss_motion.planning.trajectory.keys import is_timed
-from lss_motion.planning.trajectory.planner import cache_name, plan
+from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.retime import laid_out
 from lss_motion.show.keyframes import at_speed
 from lss_motion.show.model import Interpolation, Timing

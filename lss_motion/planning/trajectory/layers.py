@@ -19,9 +19,9 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory import explain
 from lss_motion.planning.trajectory.catch_up import Dues
 from lss_motion.planning.trajectory.curves import Path, cubics
+from lss_motion.planning.trajectory.kept_plans import kept_plan
 from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
-from lss_motion.planning.trajectory.model import PathMotion, Trajectory, motions_of, with_span
-from lss_motion.planning.trajectory.plan_cache import PLANNER_VERSION, cached
+from lss_motion.planning.trajectory.model import PathMotion, Trajectory, with_span
 from lss_motion.planning.trajectory.playlist import all_cues, all_marks
 from lss_motion.planning.trajectory.retime import (
     authored_clock,
@@ -222,10 +222,9 @@ def _with_kept(
 
     own_path, names = part(kept)
     in_passes = _marks(total, in_all_passes=True)
-    own = cached(
+    own = kept_plan(
         _kept_name(own_path, names, in_passes, show, robot),
         lambda: sum_kept(own_path, names, robot, marks=in_passes, show=show),
-        lambda stored: stored.joints == names,
         robot,
     )
     below = [(0.0, total.base), *((placed.from_s, placed.trajectory) for placed in total.layers)]
@@ -253,7 +252,7 @@ def _kept_name(
     for array in (path.knots_s, path.coefficients):
         digest.update(np.ascontiguousarray(array).tobytes())
     joints = [replace(robot.joints[name], settings={}) for name in names]
-    digest.update(repr((PLANNER_VERSION, show.name, "kept", show.smooth_s, marks, joints)).encode())
+    digest.update(repr((show.name, "kept", show.smooth_s, marks, joints)).encode())
     return digest.hexdigest()
 
 
@@ -268,10 +267,9 @@ def _slowed(path: Path, total: LayeredSum, show: Sequence, robot: Robot) -> Traj
         knot_caps={},
         cells_min=CELLS_MIN,
     )
-    trajectory = cached(
+    trajectory = kept_plan(
         _cache_name(task, show, total, robot),
         lambda: _retimed(task, total, show, robot, jerk_max),
-        lambda stored: _follows(stored, path, total.joints),
         robot,
     )
     _check_anchors(trajectory, show)
@@ -363,18 +361,6 @@ def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence, *, is_smooth: bo
         knots_s = np.sort(np.concatenate([knots_s, middles_s]))
 
 
-def _follows(stored: Trajectory, path: Path, joints: tuple[str, ...]) -> bool:
-    """Return whether a stored plan follows the path, once, from its start to its end."""
-    own, clock = motions_of(stored)[0].path, motions_of(stored)[0].clock
-    return (
-        (stored.joints, stored.loop) == (joints, 1)
-        and np.array_equal(own.knots_s, path.knots_s)
-        and np.array_equal(own.coefficients, path.coefficients)
-        and abs(float(clock.path_s[0])) <= SAME_INSTANT_S
-        and abs(float(clock.path_s[-1]) - path.length_s) <= SAME_INSTANT_S
-    )
-
-
 def _cache_name(task: RateTask, show: Sequence, total: LayeredSum, robot: Robot) -> str:
     digest = hashlib.sha256()
     for array in (task.path.knots_s, task.path.coefficients):
@@ -382,7 +368,7 @@ def _cache_name(task: RateTask, show: Sequence, total: LayeredSum, robot: Robot)
     joints = [replace(joint, settings={}) for joint in robot.joints.values()]
     parts = [total.base, *(placed.trajectory for placed in total.layers)]
     found = [(part.marks, part.stretched) for part in parts]
-    digest.update(repr((PLANNER_VERSION, show.name, show.smooth_s, found, joints)).encode())
+    digest.update(repr((show.name, show.smooth_s, found, joints)).encode())
     return digest.hexdigest()
 
 

@@ -6,29 +6,17 @@ The modules that make plans are imported only when a plan is made.
 # ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
-import hashlib
 import math
-from typing import Final
 
-import numpy as np
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.planning.trajectory.kept_plans import cache_name, kept_plan
 from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
-from lss_motion.planning.trajectory.plan_cache import PLANNER_VERSION, cached
 from lss_motion.planning.trajectory.playlist import planned_cues
 from lss_motion.robot.model import Robot
 from lss_motion.show.keyframes import at_speed
 from lss_motion.show.model import Sequence, Timing
-
-KEY_SLACK_DEG: Final = 1e-6
-"""Rounding error of an angle at its key: far below the finest unit of a servo (0.01 deg)."""
-
-KEPT_SLACK_DEG: Final = 0.11
-"""What a joint that keeps its time may miss a key by without a report, and rounding."""
-
-SPAN_SLACK_S: Final = 0.02
-"""A reported span may begin or end so long after or before its deviation: two cells of a spline."""
 
 
 def plan(sequence: Sequence, robot: Robot) -> Trajectory:
@@ -148,7 +136,7 @@ def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Traje
         return time_kept(track, robot, may_flow=may_flow)
 
     name = cache_name(track, robot, may_flow=may_flow)
-    return _placed(cached(name, make, lambda plan: _fits(plan, track, robot), robot), track)
+    return _placed(kept_plan(name, make, robot), track)
 
 
 def _planned_angles(track: Sequence, robot: Robot) -> Trajectory:
@@ -171,7 +159,7 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
         return smooth_track(track, robot)
 
     name = cache_name(track, robot)
-    return _placed(cached(name, make, lambda plan: _fits(plan, track, robot), robot), track)
+    return _placed(kept_plan(name, make, robot), track)
 
 
 def _placed(trajectory: Trajectory, track: Sequence) -> Trajectory:
@@ -199,83 +187,3 @@ def _check_length(track: Sequence) -> None:
             path=track.path,
             line=last.line,
         )
-
-
-def _fits(trajectory: Trajectory, track: Sequence, robot: Robot) -> bool:
-    """Return whether a stored plan moves the joints of the track through all of its keyframes."""
-    keyframes = track.keyframes
-    keyed = {name for keyframe in keyframes for name in keyframe.deg}
-    if (trajectory.name, trajectory.joints, trajectory.loop, len(trajectory.marks)) != (
-        track.name,
-        tuple(name for name in robot.joints if name in keyed),
-        track.loop,
-        len(keyframes),
-    ):
-        return False
-    angles_deg = trajectory.sample(np.array([mark.planned_s for mark in trajectory.marks]))
-    column = {name: index for index, name in enumerate(trajectory.joints)}
-    slack_deg = KEPT_SLACK_DEG if track.keeps_time else KEY_SLACK_DEG
-    slack_deg += max((own.key_error_deg for own in trajectory.smoothing), default=0.0)
-    return all(
-        abs(row[column[name]] - angle_deg) <= slack_deg
-        or _gives_up(trajectory, name, mark.planned_s)
-        for row, keyframe, mark in zip(
-            angles_deg.tolist(), keyframes, trajectory.marks, strict=True
-        )
-        for name, angle_deg in keyframe.deg.items()
-    )
-
-
-def _gives_up(trajectory: Trajectory, name: str, at_s: float) -> bool:
-    """Return whether the plan reports that a joint gives up angle at that instant."""
-    return any(
-        span.joint == name and span.from_s - SPAN_SLACK_S <= at_s <= span.to_s + SPAN_SLACK_S
-        for span in trajectory.given_up
-    )
-
-
-def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> str:
-    """Return the name of an entry: a hash of keys, times and limits."""
-    digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
-    digest.update(
-        repr(
-            (
-                sequence.name,
-                str(sequence.timing),
-                sequence.fit_duration_s,
-                sequence.loop,
-                sorted(sequence.keeps_time),
-                sequence.loop_span_s,
-                may_flow,
-                sequence.smooth_s,
-                [
-                    (
-                        joint.name,
-                        joint.position_min_deg,
-                        joint.position_max_deg,
-                        joint.speed_max_deg_s,
-                        joint.accel_max_deg_s2,
-                        joint.jerk_max_deg_s3,
-                    )
-                    for joint in robot.joints.values()
-                ],
-            )
-        ).encode()
-    )
-    for frame in sequence.keyframes:
-        digest.update(
-            repr(
-                (
-                    frame.at_s,
-                    frame.hold_s,
-                    frame.hold_may_shrink,
-                    frame.is_anchor,
-                    frame.is_exact,
-                    frame.weight,
-                    str(frame.ease),
-                    frame.label,
-                    [(name, float(angle_deg)) for name, angle_deg in frame.deg.items()],
-                )
-            ).encode()
-        )
-    return digest.hexdigest()

@@ -12,7 +12,7 @@ import pytest
 
 from lss_motion.cli.commands import COMMAND_GROUPS, COMMANDS
 from lss_motion.cli.main import COMPLETION
-from lss_motion.planning.show_cache import MAKERS
+from lss_motion.planning.kept import MAKERS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
@@ -140,10 +140,7 @@ def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> N
         "numpy.ma",
     }
     makers = {
-        *(
-            f"lss_motion.planning.trajectory.{name}"
-            for name in ("planner", "plan_cache", "recheck")
-        ),
+        *(f"lss_motion.planning.trajectory.{name}" for name in ("planner", "kept_plans", "tracks")),
         *(f"lss_motion.planning.program.{name}" for name in ("compile", "drives", "fit", "search")),
         *(f"lss_motion.{name}" for name in ("robot.load", "robot.learnt", "sequence.load")),
         *("lss_motion.files.yaml_source", "lss_motion.files.validation", "lss_motion.playing.api"),

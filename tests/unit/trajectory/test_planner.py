@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.files import cache
-from lss_motion.planning.trajectory import planner
+from lss_motion.planning.trajectory.kept_plans import cache_name
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.show.model import Sequence, Timing
 from tests.unit.trajectory.shows import show
@@ -110,7 +110,7 @@ def test_passes_that_differ_are_cached_and_equal(frame, make_robot, loop, monkey
     ],
 )
 def test_timing_loop_and_name_change_the_cache_name(fast_move, make_robot, change):
-    assert planner.cache_name(fast_move, make_robot()) != planner.cache_name(
+    assert cache_name(fast_move, make_robot()) != cache_name(
         replace(fast_move, **change), make_robot()
     )
 
@@ -121,7 +121,7 @@ def test_every_field_of_a_keyframe_and_every_limit_changes_the_cache_name(
     def name(speed=180.0, accel=600.0, reach=170.0, **fields):
         frames = (frame(0.0, base=0.0), frame(**{"at_s": 0.2, "base": 90.0} | fields))
         robot = make_robot(speed=speed, accel=accel, reach=reach)
-        return planner.cache_name(replace(fast_move, keyframes=frames), robot)
+        return cache_name(replace(fast_move, keyframes=frames), robot)
 
     names = [
         name(),
