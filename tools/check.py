@@ -33,13 +33,24 @@ COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
 FILE = re.compile(r"^```yaml\n# (my_\w+\.yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 ASKING = ("lss-play", "lss-motion identify")
 """Commands that ask before anything moves. No person can answer here."""
-COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "tools/weekend.py")
+COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "python tools/campaign")
 """Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
 SLOW_STEPS = {"guides", "campaign"}
 ALL_TESTS = ("-m", "", "--hypothesis-profile=many")
 """Tests of all tiers, and as many examples of each property as `tests/conftest.py` has for them."""
-CAMPAIGN = ("tools/fuzz.py", "--seeds", "200", "--all-kinds", "--judge", "both", "--jobs", "2")
+CAMPAIGN = (
+    "python",
+    "tools/campaign",
+    "shows",
+    "--seeds",
+    "200",
+    "--all-kinds",
+    "--judge",
+    "both",
+    "--jobs",
+    "2",
+)
 ALONE_MAX = 4
 """Failed tests that are run once more, alone. More at once are not the fault of a busy machine."""
 
@@ -175,7 +186,7 @@ def _commands(text: str) -> list[str]:
     blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     found = [match["command"] for block in blocks for match in COMMAND.finditer(block)]
     assert found, "the page shows no commands"
-    return [line for line in found if line.split()[0] not in COMMANDS_SKIPPED]
+    return [line for line in found if not line.startswith(COMMANDS_SKIPPED)]
 
 
 def _typed(commands: list[str], folder: Path) -> bool:

@@ -30,7 +30,7 @@ from msgspec.structs import replace
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from campaign.judge import MOVE
-from campaign.shows import Show
+from campaign.three_shows import Show
 from campaign.witness import HangError, Witness
 
 from lss_motion.maintenance.careful import CarefulRun

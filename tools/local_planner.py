@@ -1,6 +1,6 @@
 """A walk planner in the same process, for virtual time: each reply takes a given time.
 
-`tools/steer.py` and the virtual tests of walking use it in place of `PlannerProcess`.
+`tools/campaign walks` and the virtual tests of walking use it in place of `PlannerProcess`.
 """
 
 from __future__ import annotations

@@ -165,7 +165,7 @@ def fuzz_one(reader: Reader, data: bytes) -> bool:
     """Read `data` and return whether it holds a motion that can be read.
 
     A reader may only return motions with channels, tracks with labels, and refusals with a reason,
-    or raise `InputError`. Any other exception fails. `tools/fuzz_readers.py` calls this, too.
+    or raise `InputError`. Any other exception fails. `tools/campaign readers` calls this, too.
     """
     reader.recognises(data)
     motions: tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]

@@ -104,7 +104,7 @@ def test_playing_installs_no_development_tools_and_only_once(checkout):
     done = checkout.run("lss-play", "wave.yaml")
     assert (done.returncode, done.stdout) == (0, "ran lss-play wave.yaml\n")
     assert checkout.installed() == ["-m pip package"]
-    for words in (["lss-play"], ["python", "x"], ["tools/weekend.py"]):
+    for words in (["lss-play"], ["python", "x"], ["tools/tsc.py"]):
         assert checkout.run(*words).returncode == 0
     assert checkout.installed() == []
 

@@ -1,18 +1,18 @@
-"""Some seeds of `tools/fuzz.py`, and that its judge can tell good from bad."""
+"""Some seeds of the campaign, and that its judge can tell good from bad."""
 
 from __future__ import annotations
 
 import pytest
 from campaign import judge, witness
-from campaign.shows import NAMES, show
 from campaign.stale import lawless_ns
+from campaign.three_shows import NAMES, show
 from msgspec.structs import replace
 
 from lss_motion.playing.player import checks, handshake, joint_state, streamer
 from lss_motion.sim.faults import Fault, FaultKind
 
 SEEDS, CHUNKS = range(80), 8
-"""Each kind of fault comes at least three times; `tools/fuzz.py` plays thousands."""
+"""Each kind of fault comes at least three times; `tools/campaign shows` plays thousands."""
 FOUND_BPS = 19_200
 FOUND = (
     46,  # A servo that restarted on the way to the start was driven without its limits.

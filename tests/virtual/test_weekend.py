@@ -1,4 +1,4 @@
-"""An hour of the weekend of `tools/weekend.py`, and minutes in which all comes much more often."""
+"""An hour of a stage of the campaign, and minutes in which all comes much more often."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
-import weekend as tool
+from campaign import stages as tool
 
 HURRY = 60.0
 HOURS = 0.05

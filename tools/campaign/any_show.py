@@ -5,8 +5,7 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
-from campaign.shows import RESUME_S, Show
-
+from campaign.three_shows import RESUME_S, Show
 from lss_motion.errors import LssMotionError
 from lss_motion.playing import api
 from lss_motion.protocol.constants import Family

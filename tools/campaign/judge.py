@@ -9,6 +9,7 @@ from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+
 from campaign.allowances import (
     ACCEL_EXCESS,
     BODY_KINDS,
@@ -34,10 +35,9 @@ from campaign.allowances import (
 from campaign.any_show import any_show
 from campaign.outside import objections_to
 from campaign.random_faults import KINDS, mixed_faults, random_faults
-from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show, with_stored_limits
 from campaign.stale import lawless_ns
+from campaign.three_shows import NAMES, RESUME_S, SLOW_BPS, Show, show, with_stored_limits
 from campaign.witness import Act, HangError, Witness, random_acts
-
 from lss_motion.errors import BusError
 from lss_motion.planning.program.reference_grid import servo_limits
 from lss_motion.playing.player.estimators import OFFSET_MAX_DEG

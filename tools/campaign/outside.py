@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from campaign.allowances import BODY_KINDS, STEP_NS
 from judge.recording import recording_of
 from judge.verdict import objections
 
+from campaign.allowances import BODY_KINDS, STEP_NS
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
 from lss_motion.sim.bus import servos_of, set_up_settings
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from campaign.witness import Witness
-
     from lss_motion.playing.run import Result
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.faults import Fault

@@ -1,8 +1,4 @@
-#!/usr/bin/env python3
-"""A weekend of a stage in virtual time: visitors, faults and a clock that is set, by seed.
-
-    tools/run tools/weekend.py                    48 hours of the haunted hall
-    tools/run tools/weekend.py --hours 1 --seed 7
+"""Hours of a stage: visitors, faults and a clock that is set, by seed.
 
 Visitors come to the sensor, operators press keys, servos go deaf, restart, get stuck and hot, the
 line is unplugged, and the wall clock is set forth and back. Judged, by code that shares nothing
@@ -14,7 +10,6 @@ the size of the log, and whether `lss-motion morning` explains every trigger.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import re
 import resource
@@ -31,8 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from msgspec.structs import replace
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
+from campaign import Told
 from lss_motion.playing import run as playing_run
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import SENSOR_NAMES
@@ -45,6 +39,7 @@ from lss_motion.stage.running import Options, StageRun
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Iterator
 
     from lss_motion.playing.player.player import Player
@@ -53,7 +48,8 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
 
-ROOT: Final = Path(__file__).resolve().parent.parent
+SEEDS: Final = 1
+ROOT: Final = Path(__file__).resolve().parents[2]
 STAGE: Final = ROOT / "sequences" / "stages" / "haunted_hall.yaml"
 BEGINS: Final = datetime(2026, 10, 24, 17, 0, tzinfo=UTC)
 """A Saturday in October: summer time ends in this night in Europe."""
@@ -448,49 +444,41 @@ def say(sample: Memory, judge: Judge) -> None:
         )
 
 
-def main() -> int:
-    """Play a weekend, print what it showed; return 1 if something is wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--hours", type=float, default=48.0)
-    parser.add_argument("--seed", type=int, default=0)
+LOG_MAX_BYTES: Final = 20_000_000
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this kind."""
+    parser.add_argument("--hours", type=float, default=48.0, help="of each (default 48)")
     parser.add_argument("--stage", type=Path, default=STAGE)
     parser.add_argument("--hurry", type=float, default=1.0, help="all comes so many times as often")
     parser.add_argument("--open", action="store_true", help="without the quiet hours of the stage")
     parser.add_argument("--log", type=Path, help="keep the log in this folder")
-    arguments = parser.parse_args()
-    max_bytes = 20_000_000
+
+
+def play(seed: int, options: argparse.Namespace) -> Told:
+    """Play one evening."""
     with tempfile.TemporaryDirectory() as scratch:
-        folder = arguments.log or Path(scratch)
         outcome = weekend(
-            arguments.hours,
-            arguments.seed,
-            folder,
-            arguments.stage,
-            max_bytes=max_bytes,
-            hurry=arguments.hurry,
-            is_open=arguments.open,
+            options.hours,
+            seed,
+            options.log or Path(scratch),
+            options.stage,
+            max_bytes=LOG_MAX_BYTES,
+            hurry=options.hurry,
+            is_open=options.open,
             says=say,
         )
-    wrong = faults_of(outcome, max_bytes)
     samples = [one for one in outcome.memory if one.at_h >= SETTLED_H]
     some = samples[:: max(1, len(samples) // 8)]
     bytes_h, objects_h = growth(samples)
-    print(
-        f"{outcome.hours:g} h: {outcome.plays} shows, {outcome.runs} runs, "
-        f"{outcome.faults} faults, "
-        f"{outcome.triggers} triggers ({outcome.explained} explained), {outcome.moves} moves, "
-        f"{outcome.looks} looks at the horns\n"
-        f"log {outcome.log_bytes / 1e6:.2f} MB, allowed {max_bytes / 1e6:g} MB; "
-        f"{outcome.cpu_s:.0f} s of processor time\n"
-        f"memory, MB after hours: "
-        f"{', '.join(f'{one.size_b / 1e6:.1f} ({one.at_h:.1f})' for one in some)}\n"
+    line = (
+        f"{outcome.hours:g} h: {outcome.plays} shows, {outcome.runs} runs, {outcome.faults} "
+        f"faults, {outcome.triggers} triggers ({outcome.explained} explained), {outcome.moves} "
+        f"moves, {outcome.looks} looks at the horns\n"
+        f"log {outcome.log_bytes / 1e6:.2f} MB; {outcome.cpu_s:.0f} s of processor time; memory, "
+        f"MB after hours: {', '.join(f'{one.size_b / 1e6:.1f} ({one.at_h:.1f})' for one in some)}; "
         f"it grows by {bytes_h / 1e3:.1f} kB and {objects_h:.1f} of "
         f"{samples[-1].objects if samples else 0} objects an hour"
     )
-    for text in wrong:
-        print(f"wrong: {text}")
-    return 1 if wrong else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    return Told("played", tuple(faults_of(outcome, LOG_MAX_BYTES)), line=line)
