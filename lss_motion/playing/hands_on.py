@@ -124,6 +124,8 @@ class Poller:
         self._watch = SettingsWatch({})
         self.restarted: dict[str, str] = {}
         """By joint, the fault of a servo that has lost its settings since they were set."""
+        self.doubled: list[Joint] = []
+        """Joints whose answers come twice, as when two servos have the id."""
         owners = [hand.joint for hand in self._hands.values()]
         self.health = {joint.name: ServoHealth() for joint in owners}
         self._turns = {bus: deque((j, "QD") for j in owners if j.bus == bus) for bus in lines}
@@ -207,6 +209,12 @@ class Poller:
                 statement = read_reply(hand.joint.model.language, answer)
                 if statement is not None and isinstance(statement.value, int | float):
                     self._take(hand, keyword, asked.arrival_ns, float(statement.value))
+
+        for servo_id in self._trackers[bus].doubled:
+            if (double := self._hands.get((bus, servo_id))) is not None:
+                double.move = None
+                self.doubled.append(double.joint)
+        self._trackers[bus].doubled.clear()
 
     def _take_probe(self, hand: _Hand, answer: Reply) -> None:
         """Let a move pass, or note that the servo has restarted."""
@@ -421,7 +429,7 @@ class HandsOn:
                 self._dialogue.receive(bus, reply, now_ns)
             elif self.phase is Phase.SHOW:
                 self._poller.receive(bus, reply, ended_ns)
-                if self._poller.restarted:
+                if self._poller.restarted or self._poller.doubled:
                     self._begin_recovery()
 
     def next_wakeup_ns(self) -> int | None:
@@ -572,18 +580,28 @@ class HandsOn:
         return probes
 
     def _begin_recovery(self) -> None:
-        """Compare servos that have restarted with what they were, and set them up again."""
-        restarted, self._poller.restarted = self._poller.restarted, {}
-        self._away = [joint for joint in self.joints if joint.name in restarted]
-        for joint in self._away:
-            self.limp.add(joint.name)
-            text = f"{restarted[joint.name]}. It is limp"
-            self._events.append(Faulted(joint.name, text, Cause.RESTARTED, FaultStep.WARN))
-        self._prove()
+        """Compare servos that have restarted with what they were, and set them up again.
 
-    def _prove(self) -> None:
+        For those whose answers come twice another one with the same id is looked for.
+        """
+        restarted, self._poller.restarted = self._poller.restarted, {}
+        doubled, self._poller.doubled = self._poller.doubled, []
+        self._away = [one for one in self.joints if one.name in restarted or one in doubled]
+        for joint in self._away:
+            if joint.name in restarted:
+                self.limp.add(joint.name)
+                text = f"{restarted[joint.name]}. It is limp"
+                self._events.append(Faulted(joint.name, text, Cause.RESTARTED, FaultStep.WARN))
+        self._prove(doubled)
+
+    def _prove(self, suspects: Sequence[Joint] = ()) -> None:
         self._dialogue = Preflight(
-            self._away, self.robot, self.lines, self._trackers, before=self._before
+            self._away,
+            self.robot,
+            self.lines,
+            self._trackers,
+            before=self._before,
+            suspects=suspects,
         )
 
     def _proved(self, preflight: Preflight) -> None:

@@ -51,7 +51,8 @@ class Turning:
 
 
 def turned(kit, faults, *, stored=None, person=None, **fields):
-    robot = kit.robot(2, baud_bps=115200, speed_max_deg_s=SPEED_DEG_S, **fields)
+    fields = {"baud_bps": 115200, **fields}
+    robot = kit.robot(2, speed_max_deg_s=SPEED_DEG_S, **fields)
     joints = {n: replace(one, stored=stored or {}) for n, one in robot.joints.items()}
     robot = replace(robot, joints=joints)
     clock, person, events = VirtualClock(), person or Turning(), []
@@ -121,6 +122,13 @@ def test_a_held_servo_that_is_limp_is_named(kit):
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=2.5, deaf_s=0.02)
     _, _, faults, _, _ = turned(kit, [reset], person=Holding())
     assert [(fault.joint, fault.kind) for fault in faults] == [("j1", Cause.RESTARTED)]
+
+
+def test_two_servos_with_one_id_are_not_moved(kit):
+    other = Fault(kind=FaultKind.STORED, servo_id=1, at_s=3.0, settings={"ID": 2})
+    hands_on, bus, _, _, _ = turned(kit, [other], baud_bps=1_000_000)
+    assert "several servos (serial numbers" in str(hands_on.error)
+    assert not [line for at_ns, line in bus.lines if at_ns > 3.2 * S and line.startswith(b"#2D")]
 
 
 def test_damaged_answers_are_no_restart(kit):

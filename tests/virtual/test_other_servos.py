@@ -88,3 +88,40 @@ def test_a_damaged_answer_about_a_servo_that_is_back_refuses_nothing(stage, kit)
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=AT_S, deaf_s=1.0)
     played = play(stage, kit, [reset, bad])
     assert played.report.outcome == "finished"
+
+
+# ---- two servos with one id
+
+
+def renumbered(at_s):
+    """Return the fault by which servo 3 takes the id 2 as well."""
+    return Fault(kind=FaultKind.STORED, servo_id=3, at_s=at_s, settings={"ID": 2})
+
+
+def play_six(stage, kit, faults, baud_bps):
+    sequence = kit.sequence(3, 6.0, seed=7, swing_deg=60.0, step_s=(0.5, 0.7))
+    return stage.play(kit.robot(3, baud_bps=baud_bps), sequence, faults=faults)
+
+
+@pytest.mark.parametrize("baud_bps", [500_000, 1_000_000])
+@pytest.mark.parametrize("at_s", [3.41, 4.2])
+def test_answers_that_come_twice_show_two_servos_and_neither_moves_on(stage, kit, baud_bps, at_s):
+    played = play_six(stage, kit, [renumbered(at_s)], baud_bps)
+    assert "several servos (serial numbers" in str(played.result.error)
+    braking = next(e for e in played.events if getattr(e, "joint", "") == "j1")
+    assert "answers every query twice" in braking.cause
+    assert not [line for line in played.lines(after_ns=int((at_s + 0.3) * S)) if line[:3] == b"#2D"]
+
+
+def test_answers_that_damage_each_other_are_named(stage, kit):
+    played = play_six(stage, kit, [renumbered(2.03)], 115_200)
+    assert played.report.outcome == "fault"
+    causes = {fault.joint: fault.cause for fault in played.report.faults}
+    assert "as when two servos have the id 2" in causes["j1"]
+    assert not [line for line in played.lines(after_ns=int(2.33 * S)) if line[:3] == b"#2D"]
+
+
+def test_a_line_that_doubles_replies_for_a_while_ends_no_show(stage, kit):
+    doubled = Fault(kind=FaultKind.DOUBLE_REPLY, at_s=2.0, until_s=2.4)
+    played = play_six(stage, kit, [doubled], 115_200)
+    assert played.report.outcome == "finished"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.preflight import Preflight
     from lss_motion.playing.player.session import Session
     from lss_motion.playing.player.streamer import Streamer
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.transactions import Dialogue, Item
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.on_fault import Escalations
 
@@ -38,6 +38,8 @@ SLOW_RATE_LEAST: Final = 0.1
 """A joint that cannot follow at a tenth of its speed does not follow at all."""
 RESUMES_MAX: Final = 10
 """Chosen: a line that fails more often than this in a show is broken."""
+DAMAGED_LEAST: Final = 5
+"""So many unreadable pieces while a servo was waited for are reported. Chosen."""
 FINDINGS_NS: Final = NS_PER_S
 """The models of the servos are judged this often."""
 
@@ -203,6 +205,8 @@ class FaultHandler:
         self.escalation = FaultEscalation(session.robot, session.program.on_fault)
         self.lost_ports: dict[str, str] = {}
         self.recovery: Recovery | None = None
+        self._suspected: set[str] = set()
+        """Joints whose answers came twice, which may be two servos."""
         self._named: set[str] = set()
         """Joints that were reported as other than the robot file says."""
         self._judged_ns = 0
@@ -249,6 +253,7 @@ class FaultHandler:
         if not gone:
             return Verdict.CONTINUE
         self._session.put_back(gone)
+        self._suspected |= health.doubled
         # A power failure of one servo may have hit others that have not been noticed yet.
         gone |= health.unresponsive() | streamer.scheduler.watch.doubted
         missing = [joint for joint in self._session.driven if joint.name in gone]
@@ -407,10 +412,17 @@ class FaultHandler:
         """The joints whose servos are missing."""
         return {joint.name for joint in self.recovery.missing} if self.recovery else set()
 
-    def recovery_queries(self) -> list[Item]:
-        """Return the queries to the missing servos, repeated until they answer."""
+    def recovery_dialogue(self) -> Dialogue | Preflight:
+        """Return the queries to the missing servos, repeated until they answer.
+
+        First, other servos are looked for with the id of one whose answers came twice.
+        """
         assert self.recovery is not None
-        return self.recovery.queries(self._session.original)
+        suspects = [one for one in self.recovery.missing if one.name in self._suspected]
+        self._suspected.clear()
+        if suspects:
+            return self._session.proof(self.recovery.missing, {}, suspects)
+        return self._session.dialogue(self.recovery.queries(self._session.original))
 
     def proof(self, answers: Answers) -> Preflight:
         """Return the dialogue that compares the servos, which answer again, with what they were."""
@@ -448,10 +460,20 @@ class FaultHandler:
         for joint in [] if self.lost_ports else self.recovery.absent(answers):
             text = (
                 f"is silent: servo {joint.servo_id} did not answer, {waited}. Look at its cable "
-                f"and its power"
+                f"and its power{self._damaged_text(joint, self.recovery)}"
             )
             self._take(self.escalation.give_up(joint.name, Cause.SILENT, text), now_ns)
         return error
+
+    def _damaged_text(self, joint: Joint, recovery: Recovery) -> str:
+        """Return what damaged bytes in place of answers may mean; empty if there were few."""
+        count = self._session.lines[joint.bus].garbage - recovery.garbage[joint.bus]
+        if count < DAMAGED_LEAST:
+            return ""
+        return (
+            f". Damaged bytes came instead, as when two servos have the id {joint.servo_id}: "
+            f"lss-motion scan"
+        )
 
     def _end_recovery(self, recovery: Recovery, answers: Answers) -> None:
         """Note that all servos answer again; report those that had restarted."""
@@ -485,5 +507,6 @@ class FaultHandler:
         """Wait for these servos, too. The whole time begins anew for all."""
         give_up_ns = now_ns + ns_from_s(self._session.robot.resume_s)
         if self.recovery is None:
-            self.recovery = Recovery(give_up_ns)
+            lines = self._session.lines.items()
+            self.recovery = Recovery(give_up_ns, {name: line.garbage for name, line in lines})
         self.recovery.add(gone, give_up_ns)

@@ -408,6 +408,8 @@ class Recovery:
     """One wait: the player brakes and polls until all of `missing` answer, or gives up."""
 
     give_up_ns: int
+    garbage: Mapping[str, int]
+    """Unreadable pieces of each bus when it began."""
     missing: list[Joint] = field(default_factory=list)
 
     def add(self, joints: list[Joint], give_up_ns: int) -> None:

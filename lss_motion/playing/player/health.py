@@ -124,6 +124,8 @@ class HealthMonitor:
         self.temperatures_c: dict[str, float] = {}
         """Of each joint, what the last two readings confirm."""
         self.currents_a: dict[str, float] = {}
+        self.doubled: set[str] = set()
+        """Joints whose answers come twice: two servos may have the id."""
 
     def position(self, state: JointState, arrival_ns: int) -> None:
         """Judge the last accepted reading; the servo received the query at `arrival_ns`.

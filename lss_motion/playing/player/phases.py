@@ -294,7 +294,7 @@ class PhaseMachine:
         if self.phase is Phase.RECOVER:
             self.events += self.added.come_together(self.streamer, now_ns)
             self.streamer = None
-            self.dialogue = self.session.dialogue(self.faults.recovery_queries())
+            self.dialogue = self.faults.recovery_dialogue()
         elif self.phase is Phase.SEEK:
             self.go_on(now_ns)
         elif self.phase is not Phase.APPROACH:

@@ -71,6 +71,7 @@ REST_MAX_NS: Final = NS_PER_S // 20
 that leaves its processor alone is woken sooner when a move is due. Chosen; the maximum lets all
 joints still be read."""
 
+DOUBLED_TEXT: Final = "answers every query twice: it is examined whether two servos have the id"
 BEHIND_DEG: Final = 3.0
 """A joint in EM0 that is so far from its model may have restarted: then it has stood still, and
 nothing limits its speed but what it has stored. Chosen: more than a load and a wrong lag make of
@@ -361,6 +362,8 @@ class PollScheduler:
         tracker = self._trackers[bus]
         accepted = tracker.receive(reply, now_ns)
         self._silences[bus].answered(reply.servo_id)
+        if tracker.doubled:
+            self._suspect_twins(bus)
         state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
         if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
             self.health.answered(state)
@@ -372,6 +375,15 @@ class PollScheduler:
                 self._take(bus, state, query, answer, plan_deg)
         if state is not None:
             self._choice.touch(bus, state)
+
+    def _suspect_twins(self, bus: str) -> None:
+        """Send no move to servos whose answers come twice: each is examined before it moves on."""
+        for servo_id in self._trackers[bus].doubled:
+            if (state := self._by_address.get((bus, servo_id))) is not None:
+                state.suspend()
+                self.health.doubled.add(state.joint.name)
+                self.health.lost_settings(state, f"{DOUBLED_TEXT} {servo_id}")
+        self._trackers[bus].doubled.clear()
 
     def _take(
         self,

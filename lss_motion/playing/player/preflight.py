@@ -201,6 +201,7 @@ class Preflight:
 
     With `before`, the servos were away since that preflight, and have given `answers` since: they
     are asked what makes a servo another one, and must answer as they did then (`require_same`).
+    Other servos may have the ids of `suspects`: they are looked for first.
     """
 
     def __init__(  # noqa: PLR0913  (what differs between its callers)
@@ -216,6 +217,7 @@ class Preflight:
         show: Escalations | None = None,
         before: Preflight | None = None,
         answers: Answers = MappingProxyType({}),
+        suspects: Sequence[Joint] = (),
     ) -> None:
         self.answers: dict[tuple[str, int, str], int | str | None] = dict(answers)
         self.stored: dict[tuple[str, int, str], int | str | None] = {}
@@ -227,6 +229,7 @@ class Preflight:
         self._reads_stored = reads_stored or (before is not None and bool(before.stored))
         self._show = show
         self._before = before
+        self._suspects = suspects
         self._calm = {bus: self._disturbances(bus) for bus in lines}
         if before is None:
             items = [*checks.queries(self._joints, led_joints), *more]
@@ -307,6 +310,11 @@ class Preflight:
 
     def _all_rounds(self, items: Sequence[Item]) -> Iterator[Dialogue | TwinSearch]:
         """Yield one dialogue after the other; each is finished when the next is asked for."""
+        if self._suspects:
+            self.twins = TwinSearch(self._suspects, self._lines, self._trackers)
+            yield self.twins
+            if self.twins.shared:
+                return
         first = self._dialogue(items)
         yield first
         self.answers |= first.answers

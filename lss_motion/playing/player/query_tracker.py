@@ -68,6 +68,15 @@ SLOW_TIMEOUT_NS: Final = 100 * NS_PER_MS
 a query to a servo that is silent holds up the others for so long."""
 SLOWER_RATIO: Final = 1.25
 """A servo that is slower than was assumed gets so much of the time that it needed. Chosen."""
+TWIN_NS: Final = 10 * NS_PER_MS
+"""A second servo of an id answers at most so much later than the first: 2 ms (FACTS.md W14), with a
+margin for the line and the adapter."""
+TWIN_ANSWERS: Final = 2
+"""After so many answers in a row that came twice, two servos may have the id. Chosen: to examine
+it costs a show some seconds, and two servos are moved as one until then."""
+TWIN_PAUSE: Final = 100
+"""So many must come twice until the same is suspected once more. Chosen: an examination found one
+servo, so the line doubles its replies."""
 MARGIN_SAMPLES: Final = 4
 """The next answer may be earlier or later than all n remembered ones by 4/n of their spread.
 Chosen: of evenly spread values, one in some hundred exceeds it."""
@@ -165,6 +174,10 @@ class _LinkState:
     """Shortest expected answer."""
     last_sent_ns: int = 0
     last_reply_ns: int | None = None
+    answered_ns: dict[str, int] = field(default_factory=dict)
+    """By keyword, when it was answered last, unless that answer has come twice."""
+    doubles: int = 0
+    """Replies in a row that came twice."""
     flights: int = 0
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
@@ -198,6 +211,9 @@ class QueryTracker:
         self.strays = 0
         self.unasked: Counter[tuple[int, str]] = Counter()
         """Of the strays, by id and keyword, those that are no late answers."""
+        self.doubled: list[int] = []
+        """Ids whose answers come twice, as when two servos have the id; a caller that uses them
+        empties it."""
         self._flights: dict[int, _Flight] = {}
         self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
@@ -374,6 +390,9 @@ class QueryTracker:
             flight.is_doubtful = True
             self._lost.append(skipped)
         flight.arrived_ns = link.last_reply_ns = now_ns
+        if reply.keyword in link.answered_ns and link.doubles > 0:
+            link.doubles = 0
+        link.answered_ns[reply.keyword] = now_ns
         flight.held.append((query, reply))
         if link.overdue:
             link.overdue.clear()
@@ -429,6 +448,8 @@ class QueryTracker:
         is_late = link is not None and keyword in link.overdue
         if not is_late:
             self.unasked[servo_id, keyword] += 1
+            if link is not None and keyword in link.answered_ns:
+                self._note_double(servo_id, link, now_ns - link.answered_ns.pop(keyword))
         if link is not None and is_late:
             link.last_reply_ns = now_ns
             link.latency.forget(now_ns - link.overdue[keyword])
@@ -436,6 +457,14 @@ class QueryTracker:
         if flight is not None:
             flight.is_doubtful |= not is_late
             self._predict(servo_id, flight)
+
+    def _note_double(self, servo_id: int, link: _LinkState, later_ns: int) -> None:
+        """Note that a reply has come twice, so much later."""
+        if later_ns <= TWIN_NS:
+            link.doubles += 1
+            if link.doubles == TWIN_ANSWERS:
+                link.doubles = TWIN_ANSWERS - TWIN_PAUSE
+                self.doubled.append(servo_id)
 
     def _accepted(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
         """Return, and stop holding, the answers that can belong to one query only."""

@@ -34,7 +34,7 @@ from lss_motion.robot.profile import profile_lead_s
 from lss_motion.units import NS_PER_MS, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Mapping
+    from collections.abc import Container, Iterable, Mapping, Sequence
 
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.events import Event, Waited
@@ -169,13 +169,21 @@ class Session:
             show=self.program.on_fault,
         )
 
-    def proof(self, joints: Iterable[Joint], answers: Answers) -> Preflight:
+    def proof(
+        self, joints: Iterable[Joint], answers: Answers, suspects: Sequence[Joint] = ()
+    ) -> Preflight:
         """Return the dialogue with servos that were away, before anything moves them.
 
-        They have given `answers` since.
+        They have given `answers` since. Other servos may have the ids of `suspects`.
         """
         return Preflight(
-            joints, self.robot, self.lines, self.trackers, before=self._before, answers=answers
+            joints,
+            self.robot,
+            self.lines,
+            self.trackers,
+            before=self._before,
+            answers=answers,
+            suspects=suspects,
         )
 
     def settings_dialogue(self) -> SettingsDialogue:
