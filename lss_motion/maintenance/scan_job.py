@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError
 from lss_motion.playing.remote import schema as m
@@ -31,7 +32,7 @@ class ScanJob(Struct, frozen=True, kw_only=True):
 
         def progress(text: str) -> None:
             state = live_state(robot, {}, set(), is_ready=False)
-            operator.offer(state.model_copy(update={"text": text}))
+            operator.offer(replace(state, text=text))
 
         try:
             with connect(robot.buses, robot=robot) as connection:

@@ -14,6 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import msgspec
 from msgspec import Struct, field
 
 from lss_motion.errors import InputError, LssMotionError
@@ -29,6 +30,7 @@ from lss_motion.stage.records import must_restart
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage.sending import opened
 from lss_motion.stage.stage_timecode import OwnSource, spec_of
+from lss_motion.system.messages import plain
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -302,4 +304,6 @@ class StageSteering(Steering):
         state = self._run.state_of()
         shown = state["show"]
         plan = None if shown is None else self.plans.get(shown)
-        self.operator.offer(s.StageState(**state, show_plan=None if plan is None else plan.hex()))
+        state["show_plan"] = None if plan is None else plan.hex()
+        plain_state = msgspec.to_builtins(state, enc_hook=plain)
+        self.operator.offer(msgspec.convert(plain_state, s.StageState))

@@ -18,6 +18,7 @@ import html
 import json
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec.structs import replace
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
@@ -222,5 +223,5 @@ def page(names: list[str]) -> str:
 def marked(operation: m.AnyOperation, origin: str) -> m.AnyOperation:
     """Return an operation with the sender that `origin` ends with, for the log of the stage."""
     if isinstance(operation, stage.Trigger | stage.Cue | stage.Enable):
-        return operation.model_copy(update={"source": origin.rpartition(" from ")[2][:200]})
+        return replace(operation, source=origin.rpartition(" from ")[2][:200])
     return operation

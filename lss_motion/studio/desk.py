@@ -10,6 +10,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.remote import schema as m
@@ -74,9 +75,11 @@ class Desk:
         self._state = m.PlayerChanged(
             state="idle", is_latched=False, plan=None, show_s=None, text=""
         )
-        self._robot = m.RobotChanged(
-            state="off", port="", is_simulated=False, joints={}, text=""
-        ).model_dump_json()
+        self._robot = (
+            m.RobotChanged(state="off", port="", is_simulated=False, joints={}, text="")
+            .to_json()
+            .decode()
+        )
         self._noted: StopKind | None = None
         """The stop that is kept, as clients were told."""
         self._kept: dict[str, str] = {}
@@ -96,7 +99,7 @@ class Desk:
         assert self.document is not None
         messages = (self.document.message(), self._state)
         return (
-            *(message.model_dump_json() for message in messages),
+            *(message.to_json().decode() for message in messages),
             self._robot,
             *self._kept.values(),
             *self._trouble,
@@ -316,7 +319,7 @@ class Desk:
         """Send an operation to the process, which answers it."""
         if self._player is None or self._task != task:
             raise InputError(why)
-        self._player.send(operation.model_copy(update={"id": key}))
+        self._player.send(replace(operation, id=key))
         return False
 
     def _require_armed(self) -> None:
@@ -418,7 +421,7 @@ class Desk:
     # ---- state
 
     def _change(self, **fields: object) -> None:
-        changed = self._state.model_copy(update={"is_latched": self.is_latched, **fields})
+        changed = replace(self._state, **{"is_latched": self.is_latched, **fields})
         if changed != self._state:
             self._state = changed
             self._hub.broadcast(changed)
@@ -426,11 +429,15 @@ class Desk:
     def _tell_robot(self, state: Literal["off", "connecting", "playing"], text: str = "") -> None:
         assert self.document is not None
         reply = self.document.newest if self.document.newest.robot else self.document.good
-        self._robot = m.RobotChanged(
-            state=state,
-            port="" if reply is None else reply.port,
-            is_simulated=reply is not None and reply.is_simulated,
-            joints={},
-            text=text,
-        ).model_dump_json()
+        self._robot = (
+            m.RobotChanged(
+                state=state,
+                port="" if reply is None else reply.port,
+                is_simulated=reply is not None and reply.is_simulated,
+                joints={},
+                text=text,
+            )
+            .to_json()
+            .decode()
+        )
         self._hub.offer(ROBOT, self._robot)

@@ -80,8 +80,8 @@ class Hub:
         self._next_client += 1
         self.clients[client.number] = client
         self._heard_s[client.number] = now_s
-        client.send(self._make_welcome(client).model_dump_json())
-        client.send(self._lease_for(client).model_dump_json())
+        client.send(self._make_welcome(client).to_json().decode())
+        client.send(self._lease_for(client).to_json().decode())
         if self.desk is not None:
             for text in self.desk.state():
                 client.send(text)
@@ -100,7 +100,7 @@ class Hub:
 
     def broadcast(self, message: m.Message) -> None:
         """Send an event to every client."""
-        self.broadcast_text(message.model_dump_json())
+        self.broadcast_text(message.to_json().decode())
 
     def broadcast_text(self, text: str) -> None:
         """Send the JSON text of an event to every client."""
@@ -119,7 +119,7 @@ class Hub:
 
     def beat(self, now_s: float) -> None:
         """Tell the clients that the server is alive; look whether its operator is."""
-        self.offer("heartbeat", m.Heartbeat(server_s=round(now_s, 3)).model_dump_json())
+        self.offer("heartbeat", m.Heartbeat(server_s=round(now_s, 3)).to_json().decode())
         heard_s = None if self._holder is None else self._heard_s.get(self._holder)
         if heard_s is not None and now_s - heard_s > OPERATOR_SILENT_S:
             self._lost_s = now_s - OPERATOR_GRACE_S
@@ -186,13 +186,13 @@ class Hub:
         if refusal is not None:
             self._refuse(client, id_, refusal)
         else:
-            client.send(m.Accepted(id=id_, op=op).model_dump_json())
+            client.send(m.Accepted(id=id_, op=op).to_json().decode())
 
     def tell(self, key: int, message: m.Message) -> None:
         """Send an event to the client of an operation, before its answer."""
         client = self.clients.get(self._waiting.get(key, (0, 0, ""))[0])
         if client is not None:
-            client.send(message.model_dump_json())
+            client.send(message.to_json().decode())
 
     def unanswered(self) -> Iterator[int]:
         """Yield the keys of operations without an answer."""
@@ -216,7 +216,7 @@ class Hub:
         return self.desk.obey(operation, key)
 
     def _refuse(self, client: Client, id_: int, text: str) -> None:
-        client.send(m.Refused(id=id_, text=text).model_dump_json())
+        client.send(m.Refused(id=id_, text=text).to_json().decode())
 
     # ---- the lease
 
@@ -234,7 +234,7 @@ class Hub:
         if number is not None:
             self._is_operated, self._lost_s = True, None
         for client in self.clients.values():
-            client.send(self._lease_for(client).model_dump_json())
+            client.send(self._lease_for(client).to_json().decode())
 
     def _lease_for(self, client: Client) -> m.LeaseChanged:
         holder = self._holder

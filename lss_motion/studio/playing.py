@@ -11,6 +11,8 @@ import json
 import socket
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.process import start_process
 from lss_motion.system.messages import Kind, PipeClosedError
@@ -70,7 +72,7 @@ class PlayerProcess:
 
     def send(self, operation: m.Operation) -> None:
         """Send an operation; its answer is an event with the same `id`."""
-        self._link.send(Kind.OPERATION, operation.model_dump_json().encode())
+        self._link.send(Kind.OPERATION, operation.to_json())
 
     def send_job(self, job: bytes) -> None:
         """Send a newer packed job to a process that can go on with it."""
@@ -102,7 +104,7 @@ class PlayerProcess:
         self._stops.drop_player(self._stop_end)
         if not self._has_ended:
             ended = m.Ended(outcome="lost", error=GONE, report=None)
-            self._on_event(ended.model_dump(), ended.model_dump_json())
+            self._on_event(msgspec.to_builtins(ended), ended.to_json().decode())
         self._loop.create_task(self._reap())
         self._on_end(self)
 

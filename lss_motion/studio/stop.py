@@ -134,7 +134,7 @@ class Stopper:
 
 def _send(link: MessagePipe, kind: StopKind) -> None:
     operation = Estop() if kind == "estop" else Stop()
-    link.send(Kind.OPERATION, operation.model_dump_json().encode())
+    link.send(Kind.OPERATION, operation.to_json())
 
 
 class StopPages:

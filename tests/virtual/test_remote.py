@@ -49,7 +49,7 @@ class Client:
         self.steering.operator.link.close()
 
     def send(self, operation):
-        self.link.send(Kind.OPERATION, operation.model_dump_json().encode())
+        self.link.send(Kind.OPERATION, operation.to_json())
 
     def read(self):
         with contextlib.suppress(PipeClosedError, OSError):

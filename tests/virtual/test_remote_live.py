@@ -52,7 +52,7 @@ class Client:
         self.operator.take = act
 
     def send(self, operation):
-        self.link.send(Kind.OPERATION, operation.model_dump_json().encode())
+        self.link.send(Kind.OPERATION, operation.to_json())
 
     def read(self):
         with contextlib.suppress(PipeClosedError, OSError):

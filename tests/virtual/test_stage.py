@@ -316,7 +316,7 @@ def test_a_client_changes_shows_from_another_process():
 
     def acts(player, now_ns):
         while script and now_ns >= script[0][0] * S:
-            client.send(Kind.OPERATION, script.pop(0)[1].model_dump_json().encode())
+            client.send(Kind.OPERATION, script.pop(0)[1].to_json())
         act(player, now_ns)
         got.extend(client.receive())
 

@@ -76,7 +76,7 @@ class Scripted(StageSteering):
     def act(self, player, now_ns):
         while self.script and self._run.now_ns >= self.script[0][0] * NS:
             operation = self.script.pop(0)[1]
-            self.client.send(Kind.OPERATION, operation.model_dump_json().encode())
+            self.client.send(Kind.OPERATION, operation.to_json())
         super().act(player, now_ns)
         events, telemetry, _ = read(self.client)
         self.events += events

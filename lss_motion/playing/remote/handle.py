@@ -179,7 +179,7 @@ class Handle(Closing):
         with self._lock:
             message = operation(id=self._next_id, **fields)
             self._next_id += 1
-            content = message.model_dump_json().encode()
+            content = message.to_json()
             if self._ended.is_set() or not self._link.send(Kind.OPERATION, content):
                 return
             while self._link.is_full and not self._link.is_closed:

@@ -87,13 +87,13 @@ class Operator:
         if self._lost_count and not self.link.is_full:
             lost = m.Lost(count=self._lost_count)
             self._lost_count = 0
-            self.link.send(Kind.EVENT, lost.model_dump_json().encode())
-        if not self.link.send(Kind.EVENT, message.model_dump_json().encode()):
+            self.link.send(Kind.EVENT, lost.to_json())
+        if not self.link.send(Kind.EVENT, message.to_json()):
             self._lost_count += 1
 
     def offer(self, message: m.Message) -> None:
         """Send an event that is worthless later, if there is room."""
-        self.link.offer(Kind.EVENT, message.model_dump_json().encode())
+        self.link.offer(Kind.EVENT, message.to_json())
 
     def refuse(self, operation: m.Operation, why: str) -> None:
         """Answer an operation that has no effect."""

@@ -7,9 +7,10 @@ An operation is a wish of a client, an event is what happened, and both are JSON
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import Field, TypeAdapter, ValidationError
+import msgspec
+from msgspec import Meta
 
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import message as base
@@ -20,6 +21,8 @@ OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
 PATH_MAX_CHARS: Final = 1000
 JOINTS_MAX: Final = 100
+NAME_PATTERN: Final = r"^[A-Za-z][A-Za-z0-9_-]*$(?!\n)"
+"""Python's `$` would let a line end pass."""
 RATE_LEAST: Final = 0.05
 """The lowest rate that can be asked for; `pause` is lower."""
 
@@ -27,49 +30,42 @@ LABEL_MAX_CHARS: Final = base.LABEL_MAX_CHARS
 Name = base.Name
 Message = base.Message
 Operation = base.Operation
+Event = base.Event
 RoleName = Literal["view", "operate", "edit"]
 FileKind = Literal["sequence", "gait", "playlist", "robot", "stage"]
 
 
-class Go(Operation):
+class Go(Operation, frozen=True, kw_only=True, tag="go"):
     """Begin to move, where the player waits for that after its checks."""
 
-    op: Literal["go"] = "go"
 
-
-class Pause(Operation):
+class Pause(Operation, frozen=True, kw_only=True, tag="pause"):
     """Brake within the limits, on the path, and stand there."""
 
-    op: Literal["pause"] = "pause"
 
-
-class Resume(Operation):
+class Resume(Operation, frozen=True, kw_only=True, tag="resume"):
     """Go on at the rate that was asked for last."""
 
-    op: Literal["resume"] = "resume"
 
-
-class Rate(Operation):
+class Rate(Operation, frozen=True, kw_only=True, tag="rate"):
     """Play at this share of the speed of the plan; the change is a ramp."""
 
-    op: Literal["rate"] = "rate"
-    ratio: Annotated[float, Field(ge=RATE_LEAST, le=1.0)]
+    ratio: Annotated[float, Meta(ge=RATE_LEAST, le=1.0)]
 
 
-class Seek(Operation):
+class Seek(Operation, frozen=True, kw_only=True, tag="seek"):
     """Brake, move to where the show is at `to` (a show time or a label), and go on from there.
 
     A paused show stands there until it is resumed.
     """
 
-    op: Literal["seek"] = "seek"
     to: (
-        Annotated[float, Field(ge=0.0)]
-        | Annotated[str, Field(min_length=1, max_length=LABEL_MAX_CHARS)]
+        Annotated[float, Meta(ge=0.0)]
+        | Annotated[str, Meta(min_length=1, max_length=LABEL_MAX_CHARS)]
     )
 
 
-class Follow(Operation):
+class Follow(Operation, frozen=True, kw_only=True, tag="follow"):
     """The leader is at `show_s` at `instant_ns`, and goes on at `rate`; at 0 it stands.
 
     The instant is one of the monotonic clock of the player's computer. One that is to come is a
@@ -77,153 +73,127 @@ class Follow(Operation):
     operations for some time it goes on alone or holds, as it was started. Without an answer.
     """
 
-    op: Literal["follow"] = "follow"
-    instant_ns: Annotated[int, Field(ge=0)]
-    show_s: Annotated[float, Field(ge=-86400.0, le=86400.0)]
-    rate: Annotated[float, Field(ge=0.0, le=2.0)]
-    source: Annotated[str, Field(max_length=LABEL_MAX_CHARS)] = ""
-    state: Annotated[str, Field(max_length=LABEL_MAX_CHARS)] = ""
+    instant_ns: Annotated[int, Meta(ge=0)]
+    show_s: Annotated[float, Meta(ge=-86400.0, le=86400.0)]
+    rate: Annotated[float, Meta(ge=0.0, le=2.0)]
+    source: Annotated[str, Meta(max_length=LABEL_MAX_CHARS)] = ""
+    state: Annotated[str, Meta(max_length=LABEL_MAX_CHARS)] = ""
     """What the leader does, for a person."""
 
 
-class Stop(Operation):
+class Stop(Operation, frozen=True, kw_only=True, tag="stop"):
     """Brake within the limits, hold, give the settings back and end. Twice is the same as once."""
 
-    op: Literal["stop"] = "stop"
 
-
-class Estop(Operation):
+class Estop(Operation, frozen=True, kw_only=True, tag="estop"):
     """Send the safe bytes at once and end. The power of the servos stays on."""
 
-    op: Literal["estop"] = "estop"
 
-
-class Beat(Operation):
+class Beat(Operation, frozen=True, kw_only=True, tag="beat"):
     """The client is alive. The player watches this where it was started with `silent_s`."""
 
-    op: Literal["beat"] = "beat"
 
-
-class Play(Operation):
+class Play(Operation, frozen=True, kw_only=True, tag="play"):
     """Start the show that the server has planned, from `from_s` on.
 
     With `plan`, only that plan: it may have changed since the client saw it.
     """
 
-    op: Literal["play"] = "play"
-    from_s: Annotated[float, Field(ge=0.0)] | None = None
-    plan: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
+    from_s: Annotated[float, Meta(ge=0.0)] | None = None
+    plan: Annotated[str, Meta(pattern="^[0-9a-f]{16}$")] | None = None
 
 
-class Rearm(Operation):
+class Rearm(Operation, frozen=True, kw_only=True, tag="rearm"):
     """Allow motion again after a stop. A stop is kept until then, whoever asks to play."""
 
-    op: Literal["rearm"] = "rearm"
 
-
-class Lease(Operation):
+class Lease(Operation, frozen=True, kw_only=True, tag="lease"):
     """Take the right to operate, also from another client, or give it back."""
 
-    op: Literal["lease"] = "lease"
     want: Literal["take", "release"]
 
 
-class Load(Operation):
+class Load(Operation, frozen=True, kw_only=True, tag="load"):
     """Open another file of the folder of the show."""
 
-    op: Literal["load"] = "load"
-    path: Annotated[str, Field(min_length=1, max_length=PATH_MAX_CHARS)]
+    path: Annotated[str, Meta(min_length=1, max_length=PATH_MAX_CHARS)]
 
 
-class Pair(Operation):
+class Pair(Operation, frozen=True, kw_only=True, tag="pair"):
     """Make a code with which one more client gets this role."""
 
-    op: Literal["pair"] = "pair"
     role: RoleName
 
 
-class Connect(Operation):
+class Connect(Operation, frozen=True, kw_only=True, tag="connect"):
     """Open the ports of the robot without a show, and check every servo; nothing moves."""
 
-    op: Literal["connect"] = "connect"
 
-
-class Disconnect(Operation):
+class Disconnect(Operation, frozen=True, kw_only=True, tag="disconnect"):
     """End what `connect` began: hold, give the settings back, close the ports."""
 
-    op: Literal["disconnect"] = "disconnect"
 
-
-class Jog(Operation):
+class Jog(Operation, frozen=True, kw_only=True, tag="jog"):
     """Turn a joint at this share of its jogging speed; repeat it every 100 ms, or it stops.
 
     0 stops it at once. The joint stays within its limits.
     """
 
-    op: Literal["jog"] = "jog"
     joint: Name
-    speed_ratio: Annotated[float, Field(ge=-1.0, le=1.0)]
+    speed_ratio: Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
-class PoseGo(Operation):
+class PoseGo(Operation, frozen=True, kw_only=True, tag="pose.go"):
     """Move to a pose of the robot file, in `duration_s` or longer where a limit requires it."""
 
-    op: Literal["pose.go"] = "pose.go"
     pose: Name
-    duration_s: Annotated[float, Field(gt=0.0, le=60.0)] | None = None
+    duration_s: Annotated[float, Meta(gt=0.0, le=60.0)] | None = None
 
 
-class PoseSave(Operation):
+class PoseSave(Operation, frozen=True, kw_only=True, tag="pose.save"):
     """Write where the joints are into the robot file: a new pose, or one that it has."""
 
-    op: Literal["pose.save"] = "pose.save"
-    pose: Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_-]*$", max_length=LABEL_MAX_CHARS)]
+    pose: Annotated[str, Meta(pattern=NAME_PATTERN, max_length=LABEL_MAX_CHARS)]
     is_new: bool
 
 
-class Limp(Operation):
+class Limp(Operation, frozen=True, kw_only=True, tag="limp"):
     """Take the power from these joints, or from all: they fall."""
 
-    op: Literal["limp"] = "limp"
-    joints: Annotated[tuple[Name, ...], Field(max_length=JOINTS_MAX, strict=False)] = ()
+    joints: Annotated[tuple[Name, ...], Meta(max_length=JOINTS_MAX)] = ()
 
 
-class Hold(Operation):
+class Hold(Operation, frozen=True, kw_only=True, tag="hold"):
     """Hold these joints, or all, where they are."""
 
-    op: Literal["hold"] = "hold"
-    joints: Annotated[tuple[Name, ...], Field(max_length=JOINTS_MAX, strict=False)] = ()
+    joints: Annotated[tuple[Name, ...], Meta(max_length=JOINTS_MAX)] = ()
 
 
-class Scan(Operation):
+class Scan(Operation, frozen=True, kw_only=True, tag="scan"):
     """Find the servos of each bus of the robot; nothing moves."""
-
-    op: Literal["scan"] = "scan"
 
 
 MaintenanceTask = Literal["calibrate", "identify"]
 
 
-class Maintain(Operation):
+class Maintain(Operation, frozen=True, kw_only=True, tag="maintenance"):
     """Calibrate or identify a joint of a connected robot; events `maintenance` lead through it."""
 
-    op: Literal["maintenance"] = "maintenance"
     what: MaintenanceTask
     joint: Name
 
 
-class MaintenanceAnswer(Operation):
+class MaintenanceAnswer(Operation, frozen=True, kw_only=True, tag="maintenance.answer"):
     """Answer the question of the last event `maintenance`, with one of its answers."""
 
-    op: Literal["maintenance.answer"] = "maintenance.answer"
-    answer: Annotated[str, Field(min_length=1, max_length=LABEL_MAX_CHARS)]
+    answer: Annotated[str, Meta(min_length=1, max_length=LABEL_MAX_CHARS)]
 
 
 ShowOperation = Go | Pause | Resume | Rate | Seek
 """What steers a running show."""
 RobotOperation = Jog | PoseGo | PoseSave | Limp | Hold | Maintain | MaintenanceAnswer | Disconnect
 """What is asked of a robot without a show."""
-AnyOperation = Annotated[
+AnyOperation = (
     Go
     | Pause
     | Resume
@@ -257,22 +227,20 @@ AnyOperation = Annotated[
     | stage.StageRest
     | stage.StageWake
     | stage.Change
-    | stage.EndAdded,
-    Field(discriminator="op"),
-]
+    | stage.EndAdded
+)
 
 
-class MarkInfo(Message):
+class MarkInfo(Message, frozen=True, kw_only=True):
     """A named keyframe of the show, and when the first pass reaches it."""
 
     label: str
     at_s: float
 
 
-class Started(Message):
+class Started(Event, frozen=True, kw_only=True, tag="started"):
     """The first event: what is played. `duration_s` is None for a show without end."""
 
-    event: Literal["started"] = "started"
     name: str
     robot: str
     is_simulated: bool
@@ -284,76 +252,67 @@ class Started(Message):
     marks: tuple[MarkInfo, ...]
 
 
-class PhaseChanged(Message):
+class PhaseChanged(Event, frozen=True, kw_only=True, tag="phase"):
     """The player has entered a phase, by the names of `playing.player.events.Phase`."""
 
-    event: Literal["phase"] = "phase"
     phase: str
 
 
-class Checked(Message):
+class Checked(Event, frozen=True, kw_only=True, tag="checked"):
     """Every servo is there and may do what the program requires."""
 
-    event: Literal["checked"] = "checked"
     servos: int
     notes: tuple[str, ...]
 
 
-class Warned(Message):
+class Warned(Event, frozen=True, kw_only=True, tag="warned"):
     """Something that a person should know and that stops nothing."""
 
-    event: Literal["warned"] = "warned"
     text: str
 
 
-class MarkPassed(Message):
+class MarkPassed(Event, frozen=True, kw_only=True, tag="mark"):
     """The show has reached a named keyframe."""
 
-    event: Literal["mark"] = "mark"
     label: str
     at_s: float
 
 
-class CueReached(Message):
+class CueReached(Event, frozen=True, kw_only=True, tag="cue"):
     """The show has reached a sound, a light, a function or a line to say."""
 
-    event: Literal["cue"] = "cue"
     kind: Literal["sound", "run", "led", "say"]
     text: str
     at_s: float
 
 
-class Waited(Message):
+class Waited(Event, frozen=True, kw_only=True, tag="waited"):
     """The show waits for a sensor (`begun`), or goes on."""
 
-    event: Literal["waited"] = "waited"
     text: str
     state: Literal["begun", "met", "timeout"]
 
 
-class Faulted(Message):
+class Faulted(Event, frozen=True, kw_only=True, tag="fault"):
     """A fault, and the step of `on_fault` that was taken about it."""
 
-    event: Literal["fault"] = "fault"
     joint: str
     cause: str
     kind: str
     step: str
 
 
-class ShowStarted(Message):
+class ShowStarted(Event, frozen=True, kw_only=True, tag="show_started"):
     """A show of a stage has begun at `from_s`, beside another one if it `is_added`."""
 
-    event: Literal["show_started"] = "show_started"
     name: str
     from_s: float
     is_added: bool
 
 
-class ShowEnded(Message):
+class ShowEnded(Event, frozen=True, kw_only=True, tag="show_ended"):
     """A show of a stage is over, or was left for another one at `reached_s`."""
 
-    event: Literal["show_ended"] = "show_ended"
     name: str
     outcome: Literal["finished", "left", "stopped", "fault"]
     is_added: bool
@@ -363,38 +322,34 @@ class ShowEnded(Message):
     error_max_deg: float
 
 
-class RateChanged(Message):
+class RateChanged(Event, frozen=True, kw_only=True, tag="rate"):
     """A client changed the rate, paused, or resumed."""
 
-    event: Literal["rate"] = "rate"
     ratio: float
     is_paused: bool
 
 
-class Accepted(Message):
+class Accepted(Event, frozen=True, kw_only=True, tag="accepted"):
     """The operation `id` of this client has been carried out, or has begun."""
 
-    event: Literal["accepted"] = "accepted"
     id: int
     op: str
 
 
-class Refused(Message):
+class Refused(Event, frozen=True, kw_only=True, tag="refused"):
     """The operation `id` of this client has no effect; `text` says why, and what to do."""
 
-    event: Literal["refused"] = "refused"
     id: int
     text: str
 
 
-class Lost(Message):
+class Lost(Event, frozen=True, kw_only=True, tag="lost"):
     """So many events found no room, since the client did not read."""
 
-    event: Literal["lost"] = "lost"
     count: int
 
 
-class JointHealth(Message):
+class JointHealth(Message, frozen=True, kw_only=True):
     """What one servo reported last, besides its angle. None: not reported."""
 
     status: str | None
@@ -409,17 +364,16 @@ class JointHealth(Message):
     """A joint further from its plan than this is a fault."""
 
 
-class BusHealth(Message):
+class BusHealth(Message, frozen=True, kw_only=True):
     """How much of a line the last period used."""
 
     use_ratio: float
     replies_hz: float
 
 
-class Health(Message):
+class Health(Event, frozen=True, kw_only=True, tag="health"):
     """State of robot and lines, a few times a second. Dropped where the client does not read."""
 
-    event: Literal["health"] = "health"
     phase: str
     show_s: float | None
     rate: float
@@ -430,10 +384,9 @@ class Health(Message):
     buses: dict[str, BusHealth]
 
 
-class Ended(Message):
+class Ended(Event, frozen=True, kw_only=True, tag="ended"):
     """The last event. `outcome` and `report` are those of `lss-play --report`."""
 
-    event: Literal["ended"] = "ended"
     outcome: str
     error: str | None
     """Why the run could not begin or go on."""
@@ -442,10 +395,9 @@ class Ended(Message):
     """Of the error, by the codes of `lss-play`."""
 
 
-class Welcome(Message):
+class Welcome(Event, frozen=True, kw_only=True, tag="welcome"):
     """The first event of a server: what this client may do, and where a stop goes besides."""
 
-    event: Literal["welcome"] = "welcome"
     client: int
     role: RoleName
     stop_origin: str
@@ -457,16 +409,15 @@ class Welcome(Message):
     """Whether others on the network can read along: the server listens there without TLS."""
 
 
-class LeaseChanged(Message):
+class LeaseChanged(Event, frozen=True, kw_only=True, tag="lease"):
     """Which client operates. The others may look, and stop."""
 
-    event: Literal["lease"] = "lease"
     holder: int | None
     holder_name: str | None
     is_mine: bool
 
 
-class Problem(Message):
+class Problem(Message, frozen=True, kw_only=True):
     """What is wrong in a file, and where."""
 
     path: str
@@ -474,10 +425,9 @@ class Problem(Message):
     text: str
 
 
-class DocumentChanged(Message):
+class DocumentChanged(Event, frozen=True, kw_only=True, tag="document"):
     """State of the file: its revision, what is wrong in it, and the last plan that is good."""
 
-    event: Literal["document"] = "document"
     revision: int
     file: str
     kind: FileKind
@@ -493,17 +443,16 @@ class DocumentChanged(Message):
     """Changes when `robot.json` does."""
 
 
-class LiveJoint(Message):
+class LiveJoint(Message, frozen=True, kw_only=True):
     """A joint of a robot that plays no show: where it is, and whether it is limp."""
 
     deg: float | None
     is_limp: bool
 
 
-class RobotChanged(Message):
+class RobotChanged(Event, frozen=True, kw_only=True, tag="robot"):
     """State of the robot without a show."""
 
-    event: Literal["robot"] = "robot"
     state: Literal["off", "connecting", "live", "playing"]
     port: str
     is_simulated: bool
@@ -511,10 +460,9 @@ class RobotChanged(Message):
     text: str
 
 
-class PlayerChanged(Message):
+class PlayerChanged(Event, frozen=True, kw_only=True, tag="player"):
     """State of the process that plays. `is_latched`: stopped, until `rearm`."""
 
-    event: Literal["player"] = "player"
     state: Literal["idle", "starting", "ready", "playing", "paused", "stopping", "ended", "gone"]
     is_latched: bool
     plan: str | None
@@ -522,31 +470,28 @@ class PlayerChanged(Message):
     text: str
 
 
-class Links(Message):
+class Links(Event, frozen=True, kw_only=True, tag="links"):
     """How many clients the server has."""
 
-    event: Literal["links"] = "links"
     clients: int
 
 
-class Heartbeat(Message):
+class Heartbeat(Event, frozen=True, kw_only=True, tag="heartbeat"):
     """Once a second; a client that gets none has lost its server."""
 
-    event: Literal["heartbeat"] = "heartbeat"
     server_s: float
 
 
-class Pairing(Message):
+class Pairing(Event, frozen=True, kw_only=True, tag="pairing"):
     """The answer to `pair`: a code of six digits, for one client, for so long."""
 
-    event: Literal["pairing"] = "pairing"
     code: str
     role: RoleName
     valid_s: float
     urls: tuple[str, ...]
 
 
-class FoundServo(Message):
+class FoundServo(Message, frozen=True, kw_only=True):
     """A servo that `scan` found, and what the robot file calls it."""
 
     bus: str
@@ -561,22 +506,21 @@ class FoundServo(Message):
     """Whether several servos answer to this id."""
 
 
-class Scanned(Message):
+class Scanned(Event, frozen=True, kw_only=True, tag="scan"):
     """What `scan` found, and what a person should mend."""
 
-    event: Literal["scan"] = "scan"
     servos: tuple[FoundServo, ...]
     problems: tuple[str, ...]
 
 
-class Question(Message):
+class Question(Message, frozen=True, kw_only=True):
     """What a person has to decide, and the answers that are possible."""
 
     text: str
     answers: tuple[str, ...]
 
 
-class PlotSeries(Message):
+class PlotSeries(Message, frozen=True, kw_only=True):
     """Points of one line of a plot."""
 
     name: str
@@ -584,7 +528,7 @@ class PlotSeries(Message):
     y: tuple[float, ...]
 
 
-class Plot(Message):
+class Plot(Message, frozen=True, kw_only=True):
     """Lines over one axis."""
 
     title: str
@@ -593,7 +537,7 @@ class Plot(Message):
     series: tuple[PlotSeries, ...]
 
 
-class MaintenanceResult(Message):
+class MaintenanceResult(Message, frozen=True, kw_only=True):
     """What was found, before it is written."""
 
     lines: tuple[str, ...]
@@ -603,10 +547,9 @@ class MaintenanceResult(Message):
 MaintenanceState = Literal["asking", "running", "done", "failed", "stopped"]
 
 
-class MaintenanceChanged(Message):
+class MaintenanceChanged(Event, frozen=True, kw_only=True, tag="maintenance"):
     """What happens in a calibration or identification, and what a person has to do."""
 
-    event: Literal["maintenance"] = "maintenance"
     what: MaintenanceTask
     joint: str
     state: MaintenanceState
@@ -616,7 +559,7 @@ class MaintenanceChanged(Message):
     result: MaintenanceResult | None = None
 
 
-AnyEvent = Annotated[
+AnyEvent = (
     Started
     | PhaseChanged
     | Checked
@@ -644,24 +587,17 @@ AnyEvent = Annotated[
     | Scanned
     | MaintenanceChanged
     | stage.StageState
-    | stage.StageNote,
-    Field(discriminator="event"),
-]
+    | stage.StageNote
+)
 
-_OPERATIONS: Final[TypeAdapter[AnyOperation]] = TypeAdapter(AnyOperation)
-_EVENTS: Final[TypeAdapter[AnyEvent]] = TypeAdapter(AnyEvent)
+_OPERATIONS: Final[msgspec.json.Decoder[AnyOperation]] = msgspec.json.Decoder(AnyOperation)
+_OPS: Final = tuple(str(one.__struct_config__.tag) for one in get_args(AnyOperation))
+_EVENTS: Final[msgspec.json.Decoder[AnyEvent]] = msgspec.json.Decoder(AnyEvent)
 
 
 def schema() -> dict[str, Any]:
     """Return the JSON Schema of operations and events, and the layout of the telemetry."""
-    operations = _OPERATIONS.json_schema(ref_template="#/$defs/{model}")
-    events = _EVENTS.json_schema(ref_template="#/$defs/{model}", mode="serialization")
-    shared = {**operations.pop("$defs"), **events.pop("$defs")}
-    for entry in shared.values():  # The key that tells messages apart has a default in Python.
-        entry["required"] = [
-            *(key for key in ("op", "event") if key in entry["properties"]),
-            *(key for key in entry.get("required", []) if key not in ("op", "event")),
-        ]
+    (operations, events), shared = base.json_schemas(AnyOperation, AnyEvent)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "remote control of a show",
@@ -676,13 +612,13 @@ def parse_operation(text: bytes | str) -> AnyOperation:
     if len(text) > OPERATION_MAX_BYTES:
         raise InputError(f"an operation has at most {OPERATION_MAX_BYTES} bytes")
     try:
-        return _OPERATIONS.validate_json(text)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"][1:])
-        raise InputError(f"operation{f' {place}' if place else ''}: {first['msg']}") from None
+        return _OPERATIONS.decode(text)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        why = base.reason(error)
+        known = f"; there are {', '.join(_OPS)}" if why.startswith("op: Invalid value") else ""
+        raise InputError(f"operation {why}{known}") from None
 
 
 def parse_event(text: bytes | str) -> AnyEvent:
     """Return the event of a JSON text that this package wrote."""
-    return _EVENTS.validate_json(text)
+    return _EVENTS.decode(text)

@@ -4,95 +4,82 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from msgspec import Meta
 
-from lss_motion.playing.remote.message import Message, Name, Operation
+from lss_motion.playing.remote.message import Event, Message, Name, Operation
 
 SignalKind = Literal["key", "osc", "http", "mqtt", "note", "program", "sacn", "gpio"]
 """Where a trigger comes from: the kinds of `stage.model.Kind` that a server receives."""
-Source = Annotated[str, Field(max_length=200)]
+Source = Annotated[str, Meta(max_length=200)]
 """The sender, for people and the log."""
 
 
-class Trigger(Operation):
+class Trigger(Operation, frozen=True, kw_only=True, tag="trigger"):
     """A message from outside that may fire a cue, as `stage.model.Signal`."""
 
-    op: Literal["trigger"] = "trigger"
     kind: SignalKind
-    address: Annotated[str, Field(min_length=1, max_length=256)]
+    address: Annotated[str, Meta(min_length=1, max_length=256)]
     """OSC address, HTTP name, MQTT topic, note or program, `universe/slot`, pin or key."""
     value: float | None = None
-    channel: Annotated[int, Field(ge=1, le=16)] | None = None
+    channel: Annotated[int, Meta(ge=1, le=16)] | None = None
     """Of MIDI."""
     source: Source = ""
 
 
-class Cue(Operation):
+class Cue(Operation, frozen=True, kw_only=True, tag="cue"):
     """Fire a cue by its name, whatever it waits for."""
 
-    op: Literal["cue"] = "cue"
     label: Name
     source: Source = ""
 
 
-class Enable(Operation):
+class Enable(Operation, frozen=True, kw_only=True, tag="enable"):
     """Let a cue fire on its trigger, or not."""
 
-    op: Literal["enable"] = "enable"
     cue: Name
     is_enabled: bool
     source: Source = ""
 
 
-class Arm(Operation):
+class Arm(Operation, frozen=True, kw_only=True, tag="arm"):
     """Make a cue the next one that `go` fires."""
 
-    op: Literal["arm"] = "arm"
     cue: Name
 
 
-class StagePlay(Operation):
+class StagePlay(Operation, frozen=True, kw_only=True, tag="stage.play"):
     """Play a show, in place of all that play."""
 
-    op: Literal["stage.play"] = "stage.play"
     show: Name
 
 
-class StageStop(Operation):
+class StageStop(Operation, frozen=True, kw_only=True, tag="stage.stop"):
     """End all shows; the stage goes on with its idle show."""
 
-    op: Literal["stage.stop"] = "stage.stop"
 
-
-class StageRest(Operation):
+class StageRest(Operation, frozen=True, kw_only=True, tag="stage.rest"):
     """End all shows and rest, until `stage.wake`."""
 
-    op: Literal["stage.rest"] = "stage.rest"
 
-
-class StageWake(Operation):
+class StageWake(Operation, frozen=True, kw_only=True, tag="stage.wake"):
     """End a rest, also one after faults."""
 
-    op: Literal["stage.wake"] = "stage.wake"
 
-
-class Change(Operation):
+class Change(Operation, frozen=True, kw_only=True, tag="change"):
     """Play another show of a run of several: in place of the present one, or beside it.
 
     Without `show`, what plays brakes and all joints hold. A show beside another one is played on
     joints that the other does not move.
     """
 
-    op: Literal["change"] = "change"
     show: Name | None = None
-    start_s: Annotated[float, Field(ge=0.0)] | None = None
+    start_s: Annotated[float, Meta(ge=0.0)] | None = None
     how: Literal["replace", "add"] = "replace"
 
 
-class EndAdded(Operation):
+class EndAdded(Operation, frozen=True, kw_only=True, tag="end_added"):
     """End a show that is played beside another one."""
 
-    op: Literal["end_added"] = "end_added"
     show: Name
 
 
@@ -100,7 +87,7 @@ StageOperation = Trigger | Cue | Enable | Arm | StagePlay | StageStop | StageRes
 """What is asked of a running stage, besides `schema.ShowOperation`."""
 
 
-class CueInfo(Message):
+class CueInfo(Message, frozen=True, kw_only=True):
     """One cue of a stage, as it is now."""
 
     name: str
@@ -115,7 +102,7 @@ class CueInfo(Message):
     """Why it was refused since; empty if it was not."""
 
 
-class TimecodeState(Message):
+class TimecodeState(Message, frozen=True, kw_only=True):
     """The timecode of a stage, and the show that follows it."""
 
     state: Literal[
@@ -131,7 +118,7 @@ class TimecodeState(Message):
     """How far the timecode is ahead of the show, while that is in step."""
 
 
-class HostInfo(Message):
+class HostInfo(Message, frozen=True, kw_only=True):
     """One computer of a stage with figures, as the conductor knows it."""
 
     name: str
@@ -157,10 +144,9 @@ class HostInfo(Message):
     """Since its last message."""
 
 
-class StageState(Message):
+class StageState(Event, frozen=True, kw_only=True, tag="stage"):
     """The whole state of a stage; only the newest one counts."""
 
-    event: Literal["stage"] = "stage"
     state: Literal["waits_for_port", "connecting", "rests", "idle", "plays", "given_up"]
     show: str | None
     show_plan: str | None
@@ -181,10 +167,9 @@ class StageState(Message):
     """The computers of a stage with figures."""
 
 
-class StageNote(Message):
+class StageNote(Event, frozen=True, kw_only=True, tag="stage_note"):
     """What a stage has done or refused, as a line of its log."""
 
-    event: Literal["stage_note"] = "stage_note"
     kind: str
     text: str
     cue: str | None = None

@@ -14,6 +14,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Final, Protocol
 
+from msgspec.structs import replace
+
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
@@ -217,7 +219,7 @@ class Host:
             case m.Go():
                 self._ask(operation)
             case s.Trigger() | s.Cue():
-                self._ask(operation.model_copy(update={"source": operation.source or origin}))
+                self._ask(replace(operation, source=operation.source or origin))
             case _:
                 raise InputError(f"{operation.op} is for the conductor's computer")
 

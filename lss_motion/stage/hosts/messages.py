@@ -24,12 +24,13 @@ import hashlib
 import json
 from typing import Annotated, Final, Literal, TypeVar
 
-from pydantic import Field, ValidationError
+import msgspec
+from msgspec import Meta
 
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
-from lss_motion.playing.remote.message import Message, Operation
+from lss_motion.playing.remote.message import Message, Operation, reason
 
 PROTOCOL: Final = 4
 """Conductor and figures must have the same."""
@@ -40,13 +41,15 @@ TEXT_MAX_CHARS: Final = 400
 EPOCHS_AHEAD: Final = 100_000
 """An epoch that is further ahead of the known one is none: every start of a conductor counts one,
 and this is one every five minutes for a year."""
-NAME_PATTERN: Final = r"^[A-Za-z][A-Za-z0-9_-]{0,31}$"
+NAME_PATTERN: Final = r"^[A-Za-z][A-Za-z0-9_-]{0,31}$(?!\n)"
 """Names of stages and figures stand in keys and certificates."""
 
-Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-FigureName = Annotated[str, Field(pattern=NAME_PATTERN)]
-Note = Annotated[str, Field(max_length=TEXT_MAX_CHARS)]
-Instant = Annotated[int, Field(ge=-(1 << 62), le=1 << 62)]
+Hash = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)")]
+Instance = Annotated[str, Meta(pattern=r"^[0-9a-f]{16}$(?!\n)")]
+"""Of a process, made at its start. Python's `$` would let a line end pass."""
+FigureName = Annotated[str, Meta(pattern=NAME_PATTERN)]
+Note = Annotated[str, Meta(max_length=TEXT_MAX_CHARS)]
+Instant = Annotated[int, Meta(ge=-(1 << 62), le=1 << 62)]
 
 
 def hash_of(content: bytes) -> str:
@@ -54,16 +57,16 @@ def hash_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-class NetworkLeg(Message):
+class NetworkLeg(Message, frozen=True, kw_only=True):
     """At the conductor's instant `instant_ns` the show is at `show_s`, and goes on at `rate`.
 
     `number` counts the legs of a run. Rate 0 stands.
     """
 
-    number: Annotated[int, Field(ge=1)]
+    number: Annotated[int, Meta(ge=1)]
     instant_ns: Instant
-    show_s: Annotated[float, Field(ge=-3600.0, le=1e7)]
-    rate: Annotated[float, Field(ge=0.0, le=1.1)]
+    show_s: Annotated[float, Meta(ge=-3600.0, le=1e7)]
+    rate: Annotated[float, Meta(ge=0.0, le=1.1)]
 
     def at_s(self, conductor_ns: int) -> float:
         """Return the show time at an instant of the conductor."""
@@ -75,7 +78,7 @@ Wanted = Literal["nothing", "ready", "armed", "stopped"]
 the show; brake, hold and end."""
 
 
-class Beat(Message):
+class Beat(Message, frozen=True, kw_only=True):
     """State of the conductor.
 
     `epoch` is higher than that of every conductor before it, `instance` differs between two
@@ -84,49 +87,49 @@ class Beat(Message):
 
     protocol: int = PROTOCOL
     conductor: FigureName
-    epoch: Annotated[int, Field(ge=1)]
-    instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
-    count: Annotated[int, Field(ge=0)]
+    epoch: Annotated[int, Meta(ge=1)]
+    instance: Instance
+    count: Annotated[int, Meta(ge=0)]
     wanted: Wanted = "nothing"
-    run: Annotated[int, Field(ge=0)] = 0
+    run: Annotated[int, Meta(ge=0)] = 0
     cast: Hash | None = None
     catalogue: Hash | None = None
     """What may be wanted later: figures fetch and verify it before (`Catalogue`)."""
     leg: NetworkLeg | None = None
-    start_s: Annotated[float, Field(ge=0.0, le=1e7)] = 0.0
+    start_s: Annotated[float, Meta(ge=0.0, le=1e7)] = 0.0
     """Show time at which the robots stand while they are armed."""
-    examines: Annotated[int, Field(ge=0)] = 0
+    examines: Annotated[int, Meta(ge=0)] = 0
     """Each figure without a player examines its computer and servos once for every number."""
 
 
-class StopAll(Message):
+class StopAll(Message, frozen=True, kw_only=True):
     """Brake, hold and end, whatever plays of this run. Repeated, and as good as once."""
 
     conductor: FigureName
-    epoch: Annotated[int, Field(ge=1)]
-    instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
-    run: Annotated[int, Field(ge=0)]
+    epoch: Annotated[int, Meta(ge=1)]
+    instance: Instance
+    run: Annotated[int, Meta(ge=0)]
 
 
-class Part(Message):
+class Part(Message, frozen=True, kw_only=True):
     """What one figure plays: the hashes of its plan and of the robot that it was made for."""
 
     plan: Hash
     robot: Hash
 
 
-class Cast(Message):
+class Cast(Message, frozen=True, kw_only=True):
     """A show and what each figure plays in it."""
 
-    show: Annotated[str, Field(min_length=1, max_length=64)]
-    duration_s: Annotated[float, Field(ge=0.0)] | None
+    show: Annotated[str, Meta(min_length=1, max_length=64)]
+    duration_s: Annotated[float, Meta(ge=0.0)] | None
     parts: dict[FigureName, Part]
 
 
-class Catalogue(Message):
+class Catalogue(Message, frozen=True, kw_only=True):
     """The hashes of the casts that may be wanted, the likely ones first."""
 
-    casts: Annotated[tuple[Hash, ...], Field(max_length=1000, strict=False)]
+    casts: Annotated[tuple[Hash, ...], Meta(max_length=1000)]
 
 
 FigureState = Literal[
@@ -150,21 +153,21 @@ FigureState = Literal[
 `stopped`: its run is over before its end. `out`: it cannot play this cast, and says why."""
 
 
-class Status(Message):
+class Status(Message, frozen=True, kw_only=True):
     """State of one figure."""
 
     protocol: int = PROTOCOL
     figure: FigureName
-    instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
-    version: Annotated[str, Field(max_length=32)]
+    instance: Instance
+    version: Annotated[str, Meta(max_length=32)]
     state: FigureState
-    epoch: Annotated[int, Field(ge=0)]
+    epoch: Annotated[int, Meta(ge=0)]
     """The highest epoch that it has followed."""
-    follows: Annotated[str, Field(pattern=r"^([0-9a-f]{16})?$")] = ""
+    follows: Annotated[str, Meta(pattern=r"^([0-9a-f]{16})?$(?!\n)")] = ""
     """The `instance` of its conductor."""
-    run: Annotated[int, Field(ge=0)]
+    run: Annotated[int, Meta(ge=0)]
     cast: Hash | None = None
-    leg: Annotated[int, Field(ge=0)] = 0
+    leg: Annotated[int, Meta(ge=0)] = 0
     """The number of the leg that it follows."""
     robot: Hash
     offset_ns: int | None = None
@@ -178,68 +181,66 @@ class Status(Message):
     hottest_c: float | None = None
     late_us: int | None = None
     """The worst lateness of a move in this show."""
-    cause: Annotated[str, Field(max_length=32)] = ""
+    cause: Annotated[str, Meta(max_length=32)] = ""
     """Kind of the fault that ended its player (`robot.on_fault.Cause`), or `error`; empty: none."""
     text: Note = ""
     """The last thing a person should know."""
 
 
-class Examine(Operation):
+class Examine(Operation, frozen=True, kw_only=True, tag="examine"):
     """Let all figures examine their computers and servos (`doctor --stage`)."""
 
-    op: Literal["examine"] = "examine"
+
+Asked = m.Go | m.Stop | s.Cue | s.Trigger | Examine
 
 
-Asked = Annotated[m.Go | m.Stop | s.Cue | s.Trigger | Examine, Field(discriminator="op")]
-
-
-class Ask(Message):
+class Ask(Message, frozen=True, kw_only=True):
     """A figure's wish to the conductor."""
 
     operation: Asked
-    number: Annotated[int, Field(ge=0)]
+    number: Annotated[int, Meta(ge=0)]
     """Counts the wishes of this figure's process: a repeated one is the same."""
-    instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    instance: Instance
 
 
-class Finding(Message):
+class Finding(Message, frozen=True, kw_only=True):
     """One thing that a figure found about its computer or its servos."""
 
-    level: Annotated[str, Field(max_length=16)]
-    subject: Annotated[str, Field(max_length=64)]
+    level: Annotated[str, Meta(max_length=16)]
+    subject: Annotated[str, Meta(max_length=64)]
     text: Note
 
 
-class Findings(Message):
+class Findings(Message, frozen=True, kw_only=True):
     """What a figure found."""
 
     figure: FigureName
-    number: Annotated[int, Field(ge=0)]
-    findings: Annotated[tuple[Finding, ...], Field(max_length=40, strict=False)]
+    number: Annotated[int, Meta(ge=0)]
+    findings: Annotated[tuple[Finding, ...], Meta(max_length=40)]
 
 
-class Examined(Message):
+class Examined(Message, frozen=True, kw_only=True):
     """What was found about one figure, for `doctor --stage` while the conductor is served."""
 
     figure: FigureName
-    asked: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    asked: Instance
     """The `instance` of the question."""
-    rows: Annotated[tuple[Finding, ...], Field(max_length=60, strict=False)]
+    rows: Annotated[tuple[Finding, ...], Meta(max_length=60)]
 
 
-class ClockQuestion(Message):
+class ClockQuestion(Message, frozen=True, kw_only=True):
     """The first half of an exchange (`clocks.Exchange`)."""
 
     asked_ns: Instant
 
 
-class ClockAnswer(Message):
+class ClockAnswer(Message, frozen=True, kw_only=True):
     """The second half."""
 
     asked_ns: Instant
     received_ns: Instant
     answered_ns: Instant
-    instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+    instance: Instance
     """The conductor whose clock it is."""
 
 
@@ -251,11 +252,9 @@ def parse(kind: type[M], content: bytes, max_bytes: int = MESSAGE_MAX_BYTES) -> 
     if len(content) > max_bytes:
         raise InputError(f"a message of {len(content)} bytes; at most {max_bytes} are read")
     try:
-        return kind.model_validate_json(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{kind.__name__} {place}: {first['msg']}") from None
+        return msgspec.json.decode(content, type=kind)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise InputError(f"{kind.__name__} {reason(error)}") from None
 
 
 def other_protocol(content: bytes) -> int | None:
@@ -269,4 +268,4 @@ def other_protocol(content: bytes) -> int | None:
 
 def packed(message: Message) -> bytes:
     """Return the JSON of a message."""
-    return message.model_dump_json(exclude_defaults=False).encode()
+    return message.to_json()

@@ -222,7 +222,7 @@ class PlayerLink:
             return
         self._number += 1
         message = operation(id=self._number, **fields)
-        link.send(Kind.OPERATION, message.model_dump_json().encode())
+        link.send(Kind.OPERATION, message.to_json())
 
     def close(self) -> None:
         """Stop it, and wait until it has ended."""

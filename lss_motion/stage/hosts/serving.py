@@ -7,6 +7,7 @@ of its input, which are operations of `playing.remote.schema`. The others need n
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import queue
 import signal
@@ -305,19 +306,17 @@ def operation_of(words: Sequence[str], stage: Stage) -> AnyOperation:
         case "c", [cue]:
             return s.Cue(label=cue)
         case "v", _:
-            return _with_number(m.Rate, "ratio", rest, "v needs a share of the speed: v 0.5")
+            return _with_number("rate", "ratio", rest, "v needs a share of the speed: v 0.5")
         case "j", _:
-            return _with_number(m.Seek, "to", rest, "j needs a show time in seconds: j 12.5")
+            return _with_number("seek", "to", rest, "j needs a show time in seconds: j 12.5")
     raise InputError(HELP)
 
 
-def _with_number(
-    kind: type[m.Rate | m.Seek], field: str, words: Sequence[str], remedy: str
-) -> AnyOperation:
+def _with_number(op: str, field: str, words: Sequence[str], remedy: str) -> AnyOperation:
     try:
         (word,) = words
-        return kind.model_validate({field: float(word)})
-    except ValueError:
+        return m.parse_operation(json.dumps({"op": op, field: float(word)}))
+    except (ValueError, InputError):
         raise InputError(remedy) from None
 
 

@@ -180,10 +180,10 @@ class ConductorSteering(StageSteering):
         prefix = self._job.prefix
         if isinstance(event, m.Started):
             joints = tuple(prefix + name for name in event.joints)
-            self.start(event.model_copy(update={"name": self._job.stage.name, "joints": joints}))
+            self.start(replace(event, name=self._job.stage.name, joints=joints))
         elif isinstance(event, m.Health):
             named = {prefix + name: one for name, one in event.joints.items()}
-            self.operator.offer(event.model_copy(update={"joints": named}))
+            self.operator.offer(replace(event, joints=named))
         elif event.event in PASSED_ON:
             self.operator.send(event)
 

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -125,7 +126,7 @@ def test_a_trigger_at_any_figure_interrupts_the_show_of_all_which_is_resumed(eve
     assert 5.0 <= evening.conductor.legs.newest.show_s < 8.0  # Where it was left.
     starts = [one.player.follows[-1][1] for one in evening.world.hosts.values()]
     assert len(starts) == 3
-    state = StageState(**evening.run.state_of(), show_plan=None)
+    state = msgspec.convert({**evening.run.state_of(), "show_plan": None}, StageState)
     assert [one.name for one in state.hosts] == ["f0", "f1", "f2"]
     assert all(one.is_good and one.bound_ms < 5.0 for one in state.hosts)
     assert (state.state, state.show) == ("plays", "hello")

@@ -1,6 +1,7 @@
 """Every state of the conductor with every input: the table of its module, executed."""
 
 import pytest
+from msgspec.structs import replace
 
 from benches.stage_model import World, reported
 from lss_motion.errors import InputError
@@ -169,7 +170,7 @@ def test_figures_that_follow_another_conductor_end_a_show(state):
     def report():
         status = host.figure.status(host.now_ns())
         elsewhere = {"epoch": world.conductor.epoch + 3, "follows": "e" * 16}
-        world.conductor.take_status(status.model_copy(update=elsewhere), world.now_ns)
+        world.conductor.take_status(replace(status, **elsewhere), world.now_ns)
 
     host.is_cut = True
     for _ in range(12):

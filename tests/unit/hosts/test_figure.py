@@ -4,6 +4,7 @@ import re
 from typing import get_args
 
 import pytest
+from msgspec.structs import replace
 
 from benches.stage_model import reported
 from lss_motion.stage.hosts import figure as module
@@ -147,9 +148,9 @@ def test_every_place_is_left_when_the_conductor_begins_another_run(wants, does):
     figure = placed(wants, does)
     figure.tick(NOW_NS)
     now_ns = NOW_NS + NS_PER_S
-    later = beat(50, "armed").model_copy(update={"run": 2})
+    later = replace(beat(50, "armed"), run=2)
     for count in range(4):
-        figure.take_beat(later.model_copy(update={"count": 50 + count}), now_ns)
+        figure.take_beat(replace(later, count=50 + count), now_ns)
         if wants == "unknown":
             figure.take_content(packed(CAST))
             figure.take_content(PLAN)

@@ -3,6 +3,7 @@
 import statistics
 
 import pytest
+from msgspec.structs import asdict, replace
 
 from benches.stage_model import LOOPBACK, WIFI, World, reported
 from lss_motion.errors import InputError
@@ -225,7 +226,7 @@ def test_a_figure_that_two_processes_serve_is_named_once_a_minute_and_cannot_sta
     before = len(world.notes)
     for count in range(900):
         words = {"instance": "the other one", "text": "the port is in use"} if count % 2 else {}
-        conductor.take_status(status.model_copy(update=words), world.now_ns)
+        conductor.take_status(replace(status, **words), world.now_ns)
         world.run(0.1)
     notes = [note for note in world.notes[before:] if "f1" in note]
     assert sum("has started again" in note for note in notes) == 1, notes
@@ -363,7 +364,7 @@ def refusal(world):
 
 def forged(world, **changes):
     beat = world.conductor.beat()
-    return Beat(**{**beat.model_dump(), "count": beat.count + 1000, **changes})
+    return Beat(**{**asdict(beat), "count": beat.count + 1000, **changes})
 
 
 @pytest.mark.parametrize(
@@ -375,10 +376,10 @@ def test_one_forged_beat_does_not_deafen_a_figure(changes):
     world = playing(show_s=60.0)
     conductor, host = world.conductor, world.hosts["f1"]
     if changes.get("leg") == "later":
-        changes = changes | {"leg": conductor.legs.newest.model_copy(update={"number": 10**9})}
+        changes = changes | {"leg": replace(conductor.legs.newest, number=10**9)}
     beat = conductor.beat()
     count = beat.count + changes.get("count", 1)
-    host.figure.take_beat(beat.model_copy(update={**changes, "count": count}), host.now_ns())
+    host.figure.take_beat(replace(beat, **{**changes, "count": count}), host.now_ns())
     world.run(1.5)
     conductor.pause(world.now_ns)
     world.run(2.0)
@@ -393,7 +394,7 @@ def test_one_forged_status_does_not_supersede_a_conductor_whose_show_plays(epoch
     world = playing(show_s=60.0)
     host = world.hosts["f1"]
     status = host.figure.status(host.now_ns())
-    forged_one = status.model_copy(update={"epoch": epoch, "follows": "e" * 16})
+    forged_one = replace(status, epoch=epoch, follows="e" * 16)
     world.conductor.take_status(forged_one, world.now_ns)
     world.run(2.0)
     assert world.conductor.superseded == ""
@@ -405,7 +406,7 @@ def test_a_forged_epoch_that_no_restarts_explain_is_refused_on_both_sides():
     world.run(1.0)
     host = world.hosts["f1"]
     status = host.figure.status(host.now_ns())
-    forged_one = status.model_copy(update={"epoch": 1 << 61, "follows": "e" * 16})
+    forged_one = replace(status, epoch=1 << 61, follows="e" * 16)
     world.conductor.take_status(forged_one, world.now_ns)
     assert world.conductor.epoch == 1
     world.is_conducting = False
@@ -454,9 +455,9 @@ def test_a_conductor_after_another_one_is_followed_without_a_word_about_its_epoc
     world.is_conducting = False
     world.run(8.0)
     other = {"instance": "f" * 16, "wanted": "nothing", "leg": None, "count": 1}
-    host.figure.take_beat(first.model_copy(update=other), host.now_ns())
+    host.figure.take_beat(replace(first, **other), host.now_ns())
     world.run(0.3)
-    host.figure.take_beat(first.model_copy(update={**other, "epoch": 2}), host.now_ns())
+    host.figure.take_beat(replace(first, **{**other, "epoch": 2}), host.now_ns())
     world.run(0.3)
     assert "follows conductor f0 of epoch 2" in host.log
     assert "refused" not in " ".join(host.log)
@@ -494,9 +495,7 @@ def test_a_conductor_that_comes_back_from_the_past_conducts_no_more():
     world.run(6.0)
     for host in world.hosts.values():  # Another process, which began later.
         host.figure.take_beat(
-            stale.model_copy(
-                update={"epoch": 2, "instance": "f" * 16, "wanted": "ready", "leg": None}
-            ),
+            replace(stale, epoch=2, instance="f" * 16, wanted="ready", leg=None),
             host.now_ns(),
         )
     world.run(0.5)

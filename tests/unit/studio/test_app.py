@@ -36,7 +36,7 @@ class Desk:
         return True
 
     def state(self):
-        return (m.Links(clients=7).model_dump_json(),)
+        return (m.Links(clients=7).to_json().decode(),)
 
     def operator_lost(self):
         pass
