@@ -20,6 +20,7 @@ from lss_motion.cli.play import main as play
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
 from tests.served_bus import served_bus
+from tests.tables import first_quick
 from tests.timed_moves import is_move
 
 pytestmark = pytest.mark.realtime
@@ -232,7 +233,8 @@ def test_a_show_reaches_its_end_and_its_keyframes_over_a_real_terminal(folder):
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGQUIT, 131)]
+    ("number", "code"),
+    first_quick([(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGQUIT, 131)]),
 )
 def test_a_signal_in_the_middle_brakes_restores_and_holds(folder, number, code):
     with simulated(folder) as port:

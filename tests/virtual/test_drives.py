@@ -16,6 +16,7 @@ from lss_motion.playing.player.events import Warned
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
+from tests.tables import first_quick
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 QUIET = Physics(noise_deg=0.0)
@@ -162,7 +163,7 @@ def test_aborted_in_mid_move_it_holds_at_once_and_near(stage, kit):
     assert np.abs(later[1] - later[0]).max() < SPEED_DEG_S * 0.05
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", first_quick(range(4)))
 def test_through_pauses_and_at_other_speeds_every_joint_keeps_its_path(stage, kit, seed):
     # On half an ordinary line, where moves made on the spot have to wait for each other.
     random = np.random.default_rng(seed)

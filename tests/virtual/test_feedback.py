@@ -15,6 +15,7 @@ from lss_motion.sim import bus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.horns import FILTER_NS
 from lss_motion.sim.physics import Physics
+from tests.tables import first_quick
 from tests.timed_moves import MOVE
 
 WRONG_LAG = Physics(lag_s=0.05)
@@ -42,7 +43,7 @@ def rms_deg(stage, kit, monkeypatch):
     return play
 
 
-@pytest.mark.parametrize("seed", [4, 6])
+@pytest.mark.parametrize("seed", first_quick([4, 6]))
 def test_under_a_load_and_with_a_wrong_lag_horns_stray_three_times_less(rms_deg, seed):
     """With lost commands besides, `tools/bench.py feedback` measures it: luck decides much."""
     wrong = {"droop_deg": 2.5, "physics": WRONG_LAG, "seed": seed}

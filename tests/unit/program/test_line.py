@@ -15,30 +15,7 @@ from lss_motion.planning.program.line import (
     sent_us,
     with_phases,
 )
-
-
-def test_a_free_line_is_reserved_right_before_the_request():
-    assert LineSchedule().reserve(10_000, 1_000, 0) == 10_000
-
-
-def test_slots_pile_up_backwards_from_the_request():
-    line = LineSchedule()
-    assert [line.reserve(10_000, 1_000, 0) for _ in range(3)] == [10_000, 9_000, 8_000]
-
-
-def test_a_gap_that_is_just_wide_enough_is_used():
-    line = LineSchedule()
-    assert line.reserve(10_000, 1_000, 0) == 10_000
-    assert line.reserve(8_000, 1_000, 0) == 8_000
-    assert line.reserve(10_000, 1_000, 0) == 9_000
-    assert line.reserve(10_000, 1_001, 0) == 7_000
-
-
-def test_a_slot_is_late_only_if_no_earlier_one_is_free():
-    line = LineSchedule()
-    line.reserve(10_000, 4_000, 0)
-    assert line.reserve(10_000, 1_000, 6_000) == 11_000
-    assert line.reserve(10_000, 1_000, 5_000) == 6_000
+from tests.tables import titled
 
 
 def best_end_us(slots_us, latest_end_us, size_us, earliest_us):
@@ -106,14 +83,6 @@ def test_many_slots_never_overlap_and_are_late_only_if_they_must_be(seed):
     assert 20 < late < 120, "both are looked at"
 
 
-def test_many_requests_on_a_free_line_are_all_granted():
-    line = LineSchedule()
-    assert line.reserve(7_000, 1_000, 0) == 7_000
-    requests = [(9_000, 1_000, 0), (2_000, 1_000, 0), (6_000, 4_000, 0), (8_000, 1_000, 0)]
-    assert reserved_us(line, *requests) == [9_000, 2_000, 6_000, 8_000]
-    assert line.reserve(9_000, 1_000, 0) == 1_000, "all of them are reserved"
-
-
 def test_of_two_overlapping_requests_the_earlier_one_goes_first():
     assert reserved_us(LineSchedule(), (9_000, 1_000, 0), (9_500, 1_000, 0)) == [8_500, 9_500]
     assert reserved_us(LineSchedule(), (9_500, 1_000, 0), (9_000, 1_000, 0)) == [9_500, 8_500]
@@ -124,66 +93,32 @@ def test_a_request_that_cannot_move_earlier_keeps_its_place():
     assert reserved_us(LineSchedule(), *requests) == [9_000, 8_000, 10_000]
 
 
-def test_a_request_moved_before_one_slot_also_moves_before_the_next():
-    line = LineSchedule()
-    for end_us in (9_000, 7_500):
-        line.reserve(end_us, 1_000, 0)
-    assert reserved_us(line, (10_000, 1_000, 0), (10_050, 1_000, 0)) == [6_500, 10_050]
+USES = {
+    "nothing is sent": ([], (0, 0.0, 0.0, 0, 0)),
+    "commands, share, and the worst 100 ms": (
+        [(0, 10_000), (10_000, 10_000), (500_000, 10_000), (990_000, 10_000)],
+        (4, 0.04, 0.2, 0, 0),
+    ),
+    "overlaps, and the longest wait": (
+        [(0, 1_000), (400, 1_000), (1_000, 1_000), (9_000, 1_000)], (4, 0.04, 0.04, 2, 1_000)
+    ),
+    "10 ms, 20 ms and, waiting for these, 30 ms of sending, from 0.5 s to 1.03 s": (
+        [(1_000_000, 30_000), (500_000, 10_000), (980_000, 20_000)],
+        (3, 60.0 / 530.0, 0.5, 0, 0),
+    ),
+    "commands that wait": ([(0, 90_000), (10_000, 60_000)], (2, 1.0, 1.0, 1, 80_000)),
+    "of those due at once the shorter one is sent first": (
+        [(0, 3_000), (0, 1_000)], (2, 0.04, 0.04, 1, 1_000)
+    ),
+}  # fmt: skip
 
 
-def test_a_request_displaced_by_a_blocked_one_overlaps_no_slot():
-    line = LineSchedule()
-    assert [line.reserve(5_000, 1_000, 0), line.reserve(7_500, 700, 0)] == [5_000, 7_500]
-    assert reserved_us(line, (6_000, 1_000, 0), (7_000, 1_000, 0)) == [4_000, 6_800]
-
-
-def test_a_copy_and_its_original_are_independent():
-    line = LineSchedule()
-    line.reserve(10_000, 1_000, 0)
-    other = line.copy()
-    assert [one.reserve(10_000, 1_000, 0) for one in (line, other)] == [9_000, 9_000]
-    assert [one.reserve(10_000, 1_000, 0) for one in (line, other)] == [8_000, 8_000]
-
-
-def test_use_counts_commands_share_and_the_worst_window():
-    slots_us = [(0, 10_000), (10_000, 10_000), (500_000, 10_000), (990_000, 10_000)]
+@titled(("slots_us", "expected"), USES)
+def test_the_use_of_a_line(slots_us, expected):
     use = line_use("main", 115200, slots_us)
-    assert use.commands == 4
-    assert use.utilisation_ratio == pytest.approx(0.04)
-    assert use.worst_100_ms_ratio == pytest.approx(0.2)
-    assert (use.overlaps, use.late_max_us) == (0, 0)
-
-
-def test_use_counts_overlaps_and_the_longest_wait():
-    use = line_use("main", 115200, [(0, 1_000), (400, 1_000), (1_000, 1_000), (9_000, 1_000)])
-    assert use.overlaps == 2
-    assert use.late_max_us == 1_000
-
-
-def test_an_unused_line_has_a_use_of_zero():
-    use = line_use("main", 115200, [])
-    assert (use.commands, use.utilisation_ratio, use.worst_100_ms_ratio) == (0, 0.0, 0.0)
-
-
-def test_use_is_measured_from_the_first_byte_to_the_last():
-    # 10 ms, 20 ms and, waiting for these, 30 ms of sending: from 0.5 s to 1.03 s.
-    slots_us = [(1_000_000, 30_000), (500_000, 10_000), (980_000, 20_000)]
-    use = line_use("main", 500_000, slots_us)
-    assert use.utilisation_ratio == pytest.approx(60.0 / 530.0)
-    assert use.worst_100_ms_ratio == pytest.approx(0.5)
-    assert (use.bus, use.baud_bps) == ("main", 500_000)
-
-
-def test_commands_that_wait_make_the_measured_time_longer():
-    use = line_use("main", 115200, [(0, 90_000), (10_000, 60_000)])
-    assert use.utilisation_ratio == pytest.approx(1.0)
-    assert use.worst_100_ms_ratio == 1.0
-    assert use.late_max_us == 80_000
-
-
-def test_of_commands_due_at_once_the_shorter_one_is_sent_first():
-    use = line_use("main", 115200, [(0, 3_000), (0, 1_000)])
-    assert (use.overlaps, use.late_max_us) == (1, 1_000)
+    assert (use.bus, use.baud_bps) == ("main", 115200)
+    found = use.commands, use.utilisation_ratio, use.worst_100_ms_ratio
+    assert (*found, use.overlaps, use.late_max_us) == pytest.approx(expected)
 
 
 QUERY_US = 5 * 87 - 1
