@@ -12,40 +12,18 @@ from lss_motion.robot.servo_models import SERVO_MODELS, with_units
 from lss_motion.sim.physics import Physics
 from tests.tables import titled
 
-SETTINGS = [
-    ("O", -24, 100), ("AR", 1200, 3600), ("SD", 900, 1800), ("SR", 12, 30), ("LED", 3, 5),
-    ("G", -1, 1), ("AS", -4, 2), ("AH", 3, -2), ("AA", 30, 60), ("AD", 40, 70), ("EM", 0, 1),
-    ("FPC", 3, 10),
-]  # fmt: skip
-
-
 DIALOGUES = {
     "no speed is set above the model's": "#5SD9999 #5QSD=3600",
-    "rpm and degrees are the same speed": "#5SR20 #5QSD=1200 #5SD600 #5QSR=10",
     "the suffixes of speeds are session, session, stored, present, target":
         "#5CSD1800 #5SD900 #5D3000T10000 1s #5QSD=900 #5QSD0=900 #5QSD1=1800 #5QSD2=300 "
         "#5QSD3=300",
     "a reset forgets the turns": "#5D4800 3s #5QD=4800 #5RS 1.3s #5QD=1200",
-    "an id counts after a reset": "#5CID9 #9QG= #5RESET 1.3s #9QID=9 #5QID=",
-    "a rate is answered at once and counts after a reset": "#5CB9600 #5QB=9600 #5RESET 1.3s #5QB=",
-    "the first position counts after a reset":
-        "#5QFD=DIS #5CFD300 #5QFD=300 #5RESET 2.5s #5QD=300 #5Q=6 #5CFD #5QFD=DIS",
-    "the two first positions overwrite each other":
-        "#5CFD300 #5CFP1600 #5QFD=DIS #5QFP=1600 #5RESET 2s #5Q=1",
     "a new maximum speed counts from the next move on":
         "#5SD900 #5D3000 #5QSD3=900 #5SD300 #5D3000 #5QSD3=300",
     "a default needs a confirmation at once, and resets the id, too":
         "#5CLED3 #5DEFAULT #5QG=1 #5CONFIRM #5QLED1=3 #5DEFAULT #5CONFIRM #0QG= 1.3s #5QG= "
         "#0QLED1=7",
-    "in RC mode a servo is deaf after a reset": "#5CRC1 #5QG=1 #5RESET 25s #5QG=",
-    "in RC mode the first position is not taken": "#5CFD300 #5CRC1 #5RESET 3s @0",
     "CRC with any other value stays in smart mode": "#5CRC1 #5CRC* #5RESET 1.3s #5QG=1",
-    "a relative move starts where the horn is": "#5D300 1s #5MD123 1s #5QD=423",
-    "pulses span the angular range and are clamped":
-        "#5P2334 2s #5QD=751 #5QP=2334 #5P9999 2s #5QD=900 #5D1200 2s #5QP=-2500 #5D-1200 2s "
-        "#5QP=-500",
-    "modifiers of speed set the speed of travel, 180 degrees being 2000 us":
-        "#5D1800SD200 #5QSD3=200 #5P500S100 #5QSD3=90",
     "a modifier that does not belong does nothing": "#5D1800S100 #5QSD3=3600",
     "gyre and origin turn and shift what the host sees":
         "#5D300 1s #5G-1 #5QD=-300 #5O100 #5QD=-200 #5D0 1s #5QD=0 #5G1 #5O0 #5QD=100",
@@ -66,18 +44,6 @@ PRO = SERVO_MODELS["LSS-P-S1"]
 @titled("dialogue", DIALOGUES)
 def test_a_servo_answers(host, dialogue):
     host.talk(dialogue)
-
-
-@pytest.mark.parametrize(("name", "configured", "session"), SETTINGS)
-def test_every_setting_is_kept_for_the_session_or_for_ever(host, name, configured, session):
-    host.say(f"#5C{name}{configured}")
-    assert host.ask(f"#5Q{name}") == f"*5Q{name}{configured}|"
-    host.say(f"#5{name}{session}")
-    assert host.ask(f"#5Q{name}") == f"*5Q{name}{session}|"
-    assert host.ask(f"#5Q{name}1") == f"*5Q{name}{configured}|"
-    host.say("#5RESET")
-    host.wait_s(1.3)
-    assert host.ask(f"#5Q{name}") == f"*5Q{name}{configured}|"
 
 
 def test_reset_is_deaf_for_a_second_and_a_quarter_then_limp(host):
