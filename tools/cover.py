@@ -25,7 +25,7 @@ def main(tests: Sequence[str]) -> int:
     """Run the tests with `coverage` and print a line for each package; return what pytest did."""
     with tempfile.TemporaryDirectory() as folder:
         data, report = f"--data-file={folder}/data", Path(folder) / "report.json"
-        done = _coverage("run", data, "-m", "pytest", "-q", "-n0", *tests)
+        done = _coverage("run", data, "-m", "pytest", "-m", "", "-q", "-n0", *tests)
         _coverage("json", data, "-q", "-o", str(report))
         files = json.loads(report.read_text(encoding="utf-8"))["files"]
     packages: dict[str, Counter[str]] = {}
