@@ -116,6 +116,7 @@ def received(bus):
     return [line.rstrip(b"\r") for _, line in bus.lines]
 
 
+@pytest.mark.slow
 def test_poses_and_a_stretch_that_a_hand_shows_become_a_sequence(tmp_path):
     out = tmp_path / "shown.yaml"
     with simulated(tmp_path, SWAY) as (bus, _), person(tmp_path, "record", "-o", out) as someone:
@@ -232,6 +233,7 @@ class Push:
         return SimpleNamespace(at=at, is_over=lambda time_s: False)
 
 
+@pytest.mark.slow
 def test_calibrate_finds_zero_and_direction(tmp_path):
     hand = Push(pan=25.0, tilt=-20.0)
     options = ["calibrate", "--to-servos"]
@@ -264,6 +266,7 @@ def test_calibrate_finds_zero_and_direction(tmp_path):
     assert lines.index(stored[0]) < lines.index(b"#1H")  # While it is limp.
 
 
+@pytest.mark.slow
 def test_a_signal_while_calibrating_writes_nothing_and_holds(tmp_path):
     with simulated(tmp_path) as (bus, _), person(tmp_path, "calibrate") as someone:
         someone.wait_for("press l")

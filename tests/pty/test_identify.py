@@ -102,6 +102,7 @@ def test_a_signal_brakes_restores_and_holds(on_terminal, servo, robot, number, c
     assert robot.read_text() == ROBOT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "code"), [(b"n\n", 130), (b"\n", 130)])
 def test_nobody_agrees_and_nothing_moves(on_terminal, servo, robot, answer, code):
     with on_terminal(servo(1)) as bus:

@@ -47,6 +47,7 @@ def monitored(*words, until):
     return process.returncode, out + rest, errors
 
 
+@pytest.mark.slow
 def test_lines_a_table_and_beeps_for_a_hot_servo_and_a_missing_one(on_terminal, servo):
     hot = Fault(kind=FaultKind.HOT, servo_id=2, temperature_c=90.0)
     with on_terminal(servo(1, start_deg=12.0), servo(2), faults=[hot]) as bus:
@@ -88,6 +89,7 @@ def test_without_a_robot_file_every_servo_that_answers_is_watched(on_terminal, s
     assert (code, "no servo with an id of its own" in errors) == (EXIT_UNREACHABLE, True)
 
 
+@pytest.mark.slow
 def test_another_host_and_its_servos_are_named_in_an_alarm(on_terminal, servo):
     masters = [
         Fault(kind=FaultKind.SECOND_MASTER, text=f"#{number}QD", every_s=0.05, at_s=0.02 * number)

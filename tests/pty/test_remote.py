@@ -61,6 +61,7 @@ def fail_in_the_show(handle):
     raise ZeroDivisionError
 
 
+@pytest.mark.slow
 def test_an_exception_in_the_block_stops_the_show(on_terminal, servo, show):
     with on_terminal(servo(1)) as bus:
         handle = lss.start(*show())
@@ -101,6 +102,7 @@ def test_a_killed_player_is_an_error_not_a_hang(on_terminal, servo, show):
         handle.close()
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_not_there_is_raised_by_wait(tmp_path, monkeypatch, show):
     monkeypatch.chdir(tmp_path)
     with lss.start(*show()) as handle:

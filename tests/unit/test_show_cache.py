@@ -313,6 +313,7 @@ def _outputs(path, folder, capsys, *, is_played):
     return texts, [file.read_bytes() for file in files if is_played]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["twice", "wave", "playlist"])
 def test_what_users_see_is_the_same_with_and_without_the_cache(name, folder, capsys, monkeypatch):
     is_played = name == "twice"

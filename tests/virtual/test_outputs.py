@@ -37,6 +37,7 @@ def played(tmp_path, *options, bytes_max=None):
     )
 
 
+@pytest.mark.slow
 def test_a_log_that_grows_beyond_its_disk_ends_no_show_and_is_stated(tmp_path):
     done = played(tmp_path, "--log", "a.log", "--report", "r.json", bytes_max=4_000)
     assert done.returncode == EXIT_INPUT
@@ -48,6 +49,7 @@ def test_a_log_that_grows_beyond_its_disk_ends_no_show_and_is_stated(tmp_path):
     assert 0 < (tmp_path / "a.log").stat().st_size <= 4_000
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FULL.exists(), reason="Linux has this device")
 def test_every_result_is_tried_though_one_fails(tmp_path):
     done = played(tmp_path, "--report", FULL, "--truth", "t.csv")

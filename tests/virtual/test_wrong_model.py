@@ -123,6 +123,7 @@ def test_a_joint_that_hardly_moves_and_one_that_is_held_are_named_and_not_measur
         identify_from_show(recording)
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_a_log_tells_of_the_joints_that_are_named(tmp_path, capsys) -> None:
     log, made = tmp_path / "show.log", tmp_path / "made.yaml"
     robot, wave = "sequences/robots/desk_arm.yaml", "sequences/wave.yaml"
@@ -141,6 +142,7 @@ def test_the_command_writes_what_a_log_tells_of_the_joints_that_are_named(tmp_pa
     assert "--port is for moves; with --from nothing moves" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_ramp_that_depends_on_an_undecided_law_is_not_written(tmp_path, capsys) -> None:
     """A slow joint: three of four laws explain it, with ramps of 843, 1985 and 2426 deg/s^2.
 

@@ -107,6 +107,7 @@ def test_check_lists_the_functions_of_a_file(name, folder, capsys):
     assert (call["run"], call["count"]) == ("effects:fog", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["show.yaml", "list.yaml", "layered.yaml", "show.lss"])
 def test_without_a_terminal_a_show_with_functions_is_refused(name, folder, capsys):
     assert main(["compile", "show.yaml", "-o", "show.lss"]) == EXIT_FINISHED
@@ -159,6 +160,7 @@ def test_a_damaged_memory_asks_again(damage, folder, at_keyboard):
     assert played() == EXIT_INTERRUPTED
 
 
+@pytest.mark.slow
 def test_stored_bytecode_is_not_run_in_place_of_the_source(folder):
     """A module beside the show can come with bytecode that says something else than its source."""
     Path("evil.py").write_text("from pathlib import Path\nPath('evil').touch()\ndef fog(at_s): 0\n")
@@ -191,6 +193,7 @@ def test_modules_of_the_current_folder_replace_no_installed_ones(folder):
     assert not Path("stolen").exists()
 
 
+@pytest.mark.slow
 def test_a_library_call_needs_consent_too(folder):
     robot = api.load_robot("robot.yaml")
     program = api.compile(api.plan(api.load_sequence("show.yaml"), robot), robot)

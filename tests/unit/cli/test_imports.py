@@ -125,6 +125,7 @@ def _loaded_by_play(tmp_path: Path) -> set[str]:
     return set(done.stdout.splitlines()[-1].split()[1:])
 
 
+@pytest.mark.slow
 def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> None:
     made, kept = _loaded_by_play(tmp_path), _loaded_by_play(tmp_path)
     assert {"pydantic", "yaml", "lss_motion.planning.trajectory.planner"} <= made

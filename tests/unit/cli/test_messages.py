@@ -73,6 +73,7 @@ def test_a_pipe_whose_reader_has_gone_is_given_up_and_that_is_said_once(monkeypa
     assert "Broken pipe" in said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
 @pytest.mark.parametrize("arguments", [["schema", "robot"], ["reference", "LSS"]])
 def test_a_full_disk_under_standard_output_is_one_line_that_names_it(arguments):
@@ -96,6 +97,7 @@ def test_a_file_that_fails_loses_nothing_of_what_was_said_before():
     assert done.stderr == ("lss-motion: /no/such/file cannot be used: No such file or directory\n")
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_seen_enough_is_no_error():
     command = [sys.executable, "-m", "lss_motion.cli.main", "schema", "robot"]
     read_fd, write_fd = os.pipe()

@@ -246,6 +246,7 @@ def test_an_interrupt_after_the_show_loses_no_report(folder, monkeypatch):
     assert json.loads(path.read_text())["outcome"] == "finished"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
 def test_a_full_disk_under_standard_output_ends_no_show(folder):
     report = folder / "r.json"

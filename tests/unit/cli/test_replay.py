@@ -35,6 +35,7 @@ def test_the_player_decides_the_same_when_it_lives_through_its_log_again(played,
     assert int(out.split(" outputs compared")[0].split()[-1]) > 300
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resume_s", [10, 0.2])
 def test_an_unplugged_port_is_replayed(played, tmp_path, capsys, resume_s):
     """`resume_s` 0.2: the port does not come back in time, and the show ends without it."""
@@ -51,6 +52,7 @@ def test_an_unplugged_port_is_replayed(played, tmp_path, capsys, resume_s):
     assert "port main: lost" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", ["hold", "[resume, hold]"])
 def test_a_stall_is_replayed(played, tmp_path, capsys, steps):
     (tmp_path / "robot.yaml").write_text(

@@ -61,6 +61,7 @@ def run(*words, feed=None):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "plan", "compile"])
 def test_a_loop_of_a_million_passes_is_compiled_once(folder, command):
     code, out, errors = run(command, "looped.yaml")
@@ -107,6 +108,7 @@ def test_what_would_be_written_out_is_bounded_with_its_line(folder, text, line, 
     assert "at most 50,000 can be played as a part" in errors
 
 
+@pytest.mark.slow
 def test_a_day_of_thirty_joints_is_refused_before_it_is_planned(folder):
     joints = ", ".join(f"j{n}: {{id: {n + 1}}}" for n in range(30))
     Path("robot.yaml").write_text(ROBOT.replace("base: {id: 1}, elbow: {id: 2}", joints))

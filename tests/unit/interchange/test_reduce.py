@@ -130,6 +130,7 @@ def test_the_planner_follows_the_interpolation_that_the_error_was_measured_with(
     np.testing.assert_allclose(interpolated(ease, times_s, values, at_s), planned, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_joints_share_times_if_there_are_more_times_than_keyframes(monkeypatch) -> None:
     monkeypatch.setattr("lss_motion.interchange.reduce.KEYFRAMES_MAX", 200)
     names = tuple(f"j{n}" for n in range(8))

@@ -84,6 +84,7 @@ def test_a_show_that_must_have_its_sound_moves_nothing_without_it(show, monkeypa
     assert [fault["kind"] for fault in report["faults"]] == ["sound"]
 
 
+@pytest.mark.slow
 def test_a_file_that_is_no_sound_is_named_and_the_show_plays(show, tmp_path, capsys):
     pytest.importorskip("soundfile", exc_type=ImportError)
     (tmp_path / "music.wav").write_text("no sound at all")
@@ -159,6 +160,7 @@ def orders(received, kind):
 LOST = "report(DeviceLost('sound device desk has stopped'))"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "code"), [("warn", 0), ("hold", 5)])
 def test_a_device_that_vanishes_is_named_and_the_show_goes_on_or_ends(
     show, scripted, capsys, step, code
@@ -170,6 +172,7 @@ def test_a_device_that_vanishes_is_named_and_the_show_goes_on_or_ends(
     assert sum("desk has stopped: the show goes on without sound" in text for text in told) == 1
 
 
+@pytest.mark.slow
 def test_a_device_at_a_wrong_rate_is_named_once(show, scripted):
     scripted(on_alive="report(WrongRate(0.91))")
     _, report = show()
@@ -204,6 +207,7 @@ def test_the_show_follows_what_is_heard_and_a_replay_of_its_log_sends_the_same(
     assert main(["replay", str(log)]) == 0, capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_leader_besides_the_device_is_named_and_each_sound_is_handed_over_once(
     tmp_path, scripted
 ):
@@ -220,6 +224,7 @@ def test_a_leader_besides_the_device_is_named_and_each_sound_is_handed_over_once
     assert result.report.sound.not_played == []
 
 
+@pytest.mark.slow
 def test_an_offset_that_a_person_found_by_ear_is_kept_and_used_in_the_next_show(
     show, scripted, tmp_path, capsys, monkeypatch
 ):

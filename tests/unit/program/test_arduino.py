@@ -200,6 +200,7 @@ def test_the_sketch_sends_the_bytes_of_the_program_at_their_instants(folder, cap
     assert abs(rest[-1][0] - start_us - 1e6 * program.duration_s) < 400
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_horns_do_by_the_sketch_what_they_do_by_lss_play(folder) -> None:
     """The bytes of the compiled sketch go to the simulated servos at the instants it sent them."""
@@ -228,6 +229,7 @@ def test_the_horns_do_by_the_sketch_what_they_do_by_lss_play(folder) -> None:
         np.testing.assert_allclose(own_deg, played_deg, atol=HORNS_DEG)
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize(
     ("scene", "last"),
@@ -246,6 +248,7 @@ def test_it_plays_only_if_all_answer_and_from_anywhere_at_any_clock(folder, scen
         assert "#1D300T10001" in [text for _, text in sent]
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_button_holds_all_servos(folder) -> None:
     ino = folder / "nod.ino"
@@ -258,6 +261,7 @@ def test_the_button_holds_all_servos(folder) -> None:
         assert sent[-1][0] - stop_us < 400
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_an_endless_program_repeats(folder) -> None:
     lss = folder / "nod.lss"
