@@ -145,7 +145,8 @@ class CarefulRun(JointRun):
         if self.state is State.PREPARE and self._witness:
             query = Command(joint.servo_id, self._witness)
             then.append(Item(bus=joint.bus, command=query, is_query=True, tries=WITNESS_TRIES))
-        self._probes = handshake.probes([joint], self._answers, known)
+        probes = handshake.probes([joint], self._answers, known)
+        self._probes = probes.get(joint.name, [])
         lines, trackers = {joint.bus: self._line}, {joint.bus: self._poller.tracker}
         return SettingsDialogue(known, then, unknown, lines, trackers)
 
@@ -165,7 +166,7 @@ class CarefulRun(JointRun):
         if self.error is not None:
             self._brake(now_ns)
             return
-        self._poller.watch(self._probes)
+        self._poller.watch(self._probes, now_ns)
         if self.state is State.PREPARE:
             self._hold(dialogue.answers, now_ns)
         else:

@@ -26,7 +26,7 @@ from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import health_words
 from lss_motion.playing.player.query_tracker import QueryTracker
 from lss_motion.playing.player.serial_line import SerialLine
-from lss_motion.playing.player.settings_watch import Probe, SettingsWatch
+from lss_motion.playing.player.settings_watch import Probe, ServoWatch
 from lss_motion.playing.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
@@ -74,21 +74,21 @@ class ServoHealth:
 class _Hand:
     """What the poller knows of one joint besides its angle and its health."""
 
-    joint: Joint
+    servo: ServoWatch
     words: tuple[str, ...] = ()
     """The queries that come before each move: whether its servo has restarted."""
     left: list[str] = field(default_factory=list)
     """Those of them that are to be answered before `move` leaves."""
     move: Command | None = None
     """The move that waits for them, or for its place on the line."""
-    powered_ns: int | None = None
-    """When its servo received the last move or `H`; None: it is limp, or was not touched."""
-    is_limp: bool = False
-    """Whether its last status was that of a limp servo although it has power."""
     is_turned: bool = False
     """Whether the last reading was in another turn than the one before."""
     is_barred: bool = False
     """Whether it is in another turn, so that it gets no move."""
+
+    @property
+    def joint(self) -> Joint:
+        return self.servo.joint
 
     def hold_back(self) -> None:
         """Send no move before all queries are answered once more."""
@@ -120,8 +120,7 @@ class Poller:
         self._lines = lines
         self._trackers = trackers
         self._fresh: list[Reading] = []
-        self._hands = {(joint.bus, joint.servo_id): _Hand(joint) for joint in joints}
-        self._watch = SettingsWatch({})
+        self._hands = {(j.bus, j.servo_id): _Hand(ServoWatch(j)) for j in joints}
         self.restarted: dict[str, str] = {}
         """By joint, the fault of a servo that has lost its settings since they were set."""
         self.doubled: list[Joint] = []
@@ -144,10 +143,10 @@ class Poller:
 
     def watch(self, probes: Mapping[str, Sequence[Probe]]) -> None:
         """Query one of these, by joint, before each move; its servo must answer as it was set."""
-        self._watch = SettingsWatch(probes)
         for hand in self._hands.values():
+            hand.servo.begin(probes.get(hand.joint.name, ()))
             turn = () if hand.joint.turns is None else ("QD",)
-            hand.words = (*self._watch.keywords(hand.joint.name)[:1], *turn)
+            hand.words = (*hand.servo.keywords[:1], *turn)
 
     def order(self, joint: Joint, command: Command) -> None:
         """Send a command before the next query; a move takes the place of one that waits.
@@ -192,10 +191,10 @@ class Poller:
     def _note_order(self, bus: str, command: Command, arrival_ns: int) -> None:
         hand = self._hands[bus, command.servo_id]
         if command.keyword in ("D", "H"):
-            hand.powered_ns = arrival_ns
+            hand.servo.powered_ns = arrival_ns
             self._reported.discard(f"{hand.joint.name} {STATUS_TEXTS[Cause.RESTARTED]}")
         elif command.keyword == "L":
-            hand.powered_ns = None
+            hand.servo.powered_ns = None
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
         for asked, answer in self._trackers[bus].receive(reply, now_ns):
@@ -203,7 +202,7 @@ class Poller:
             keyword = asked.command.keyword
             if keyword == "Q":
                 self._notice_status(hand, answer, asked.arrival_ns)
-            elif keyword in self._watch.keywords(hand.joint.name):
+            elif keyword in hand.servo.keywords:
                 self._take_probe(hand, answer)
             else:
                 statement = read_reply(hand.joint.model.language, answer)
@@ -218,12 +217,10 @@ class Poller:
 
     def _take_probe(self, hand: _Hand, answer: Reply) -> None:
         """Let a move pass, or note that the servo has restarted."""
-        value = answer.value if isinstance(answer.value, int) else None
-        name = hand.joint.name
-        if (fault := self._watch.take(hand, answer.keyword, value)) is not None:
-            self.restarted[name] = fault
-            hand.move, hand.powered_ns = None, None
-        elif self._watch.allows_moves(name) and hand.left[:1] == [answer.keyword]:
+        if (fault := hand.servo.take(answer.keyword, answer.value)) is not None:
+            self.restarted[hand.joint.name] = fault
+            hand.move, hand.servo.powered_ns = None, None
+        elif hand.servo.has_settings and hand.left[:1] == [answer.keyword]:
             del hand.left[0]
 
     def _take(self, hand: _Hand, keyword: str, at_ns: int, value: float) -> None:
@@ -258,7 +255,7 @@ class Poller:
     def settle(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
         """Note that a servo that had restarted has its settings again, and stands there."""
         hand = self._hands[joint.bus, joint.servo_id]
-        self._watch.trust(joint.name)
+        hand.servo.trust()
         for _ in range(2):
             if not self._is_turned(hand, servo_deg):
                 break
@@ -332,12 +329,9 @@ class Poller:
         if state in (Status.SAFE_MODE, Status.ERROR):
             cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
             self._report(joint, f"reports {state.value}", cause)
-        was_limp, hand.is_limp = hand.is_limp, False
-        if state is Status.LIMP and hand.powered_ns is not None and asked_ns > hand.powered_ns:
-            hand.is_limp = True
-            if was_limp:  # One answer may be damaged.
-                hand.powered_ns = None
-                self._report(joint, STATUS_TEXTS[Cause.RESTARTED], Cause.RESTARTED)
+        if (text := hand.servo.take_status(state, asked_ns)) is not None:
+            hand.servo.powered_ns = None
+            self._report(joint, text, Cause.RESTARTED)
 
     def _report(self, joint: Joint, text: str, cause: Cause) -> None:
         if (key := f"{joint.name} {text}") not in self._reported:

@@ -61,7 +61,8 @@ class Experiment(JointRun):
 
     def _prepared(self, now_ns: int) -> None:
         self._take_answers()
-        self._poller.watch(handshake.probes([self.joint], self._answers))
+        probes = handshake.probes([self.joint], self._answers)
+        self._poller.watch(probes.get(self.joint.name, ()), now_ns)
         self.state = State.HOLD
         self._has_moved = True
         move = PlannedMove(0.0, self._standing_deg, HOLD_MS)

@@ -25,15 +25,14 @@ from lss_motion.maintenance.identify.trials import (
 )
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.checks import reported_firmware
-from lss_motion.playing.player.health import STATUS_TEXTS, status_fault
+from lss_motion.playing.player.health import status_fault
 from lss_motion.playing.player.query_tracker import QueryTracker
 from lss_motion.playing.player.serial_line import SerialLine
-from lss_motion.playing.player.settings_watch import SettingsWatch
+from lss_motion.playing.player.settings_watch import ServoWatch
 from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
-from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
@@ -244,7 +243,7 @@ class JointRun(ABC):
     @property
     def _may_move(self) -> bool:
         """Whether the servo is not in doubt to have restarted; to brake needs no settings."""
-        return self.state is State.BRAKE or not self._poller.is_doubtful
+        return self.state is State.BRAKE or not self._poller.servo.is_doubtful
 
     def _after_dialogue(self, now_ns: int) -> None:
         if self.state is State.RESTORE:
@@ -280,7 +279,7 @@ class JointRun(ABC):
         self._take_answers()
         self.state = State.BRAKE
         command, lasts_s = self._stop_move(now_ns)
-        if self._poller.is_doubtful or self._poller.is_silent:
+        if self._poller.servo.is_doubtful or self._poller.is_silent:
             self._holds_all = True
             command, lasts_s = Command(self.joint.servo_id, "H"), 0.0
         self._begin(TrialPlan(Kind.STEP, (), lasts_s), now_ns)
@@ -381,21 +380,12 @@ class PositionPoller:
         self._count = 0
         self._silent_count = self._silent_ns = 0
         self._status: Status | None = None
-        self._watch = SettingsWatch({})
-        self._has_power = self._is_limp = False
+        self.servo = ServoWatch(joint)
 
-    def watch(self, probes: Mapping[str, Sequence[Probe]]) -> None:
+    def watch(self, probes: Sequence[Probe], now_ns: int) -> None:
         """Watch for a restart from now on: the servo is set to these, and is to have power."""
-        self._watch = SettingsWatch(probes)
-        self._has_power = True
-
-    def hold_back(self) -> None:
-        """Send no move to the servo: `is_doubtful` says so."""
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether the servo may have restarted, or has."""
-        return self._is_limp or not self._watch.allows_moves(self.joint.name)
+        self.servo.begin(probes)
+        self.servo.powered_ns = now_ns
 
     def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Send a query if it is due and ends before `quiet_until_ns` (None: no limit)."""
@@ -403,14 +393,14 @@ class PositionPoller:
         self._note_timeouts(len(tracker.expire(now_ns)), now_ns)
         if tracker.is_waiting(servo_id):
             return
-        probe = self._watch.urgent(self.joint.name)
+        probe = self.servo.urgent
         if probe is None:
             self._next_ns = max(self._next_ns, tracker.quiet_until_ns(servo_id))
         if now_ns < self._next_ns:
             return
         question = Command(servo_id, probe or self._keyword())
         ends_ns = self._line.arrival_ns(len(encode(question)), now_ns)
-        if quiet_until_ns is not None and ends_ns > quiet_until_ns and not self.is_doubtful:
+        if quiet_until_ns is not None and ends_ns > quiet_until_ns and not self.servo.is_doubtful:
             self._next_ns = quiet_until_ns
             return
         tracker.send(question, now_ns)
@@ -425,12 +415,12 @@ class PositionPoller:
         self._silent_count += count
         lasts_ns = now_ns - self._silent_ns
         self.is_silent = self._silent_count >= SILENT_ASKS and lasts_ns >= SILENT_NS
-        self._watch.note_sign(self, now_ns)
-        if self._watch.urgent(self.joint.name) is not None:
+        self.servo.note_timeout(now_ns)
+        if self.servo.urgent is not None:
             self._next_ns = now_ns
 
     def _keyword(self) -> str:
-        if self._is_limp or self._count % STATUS_EVERY == STATUS_EVERY - 1:
+        if self.servo.is_limp or self._count % STATUS_EVERY == STATUS_EVERY - 1:
             return "Q"
         return self.also if self.also and self._count % 2 else "QD"
 
@@ -447,9 +437,8 @@ class PositionPoller:
         self._silent_count = 0
         wait_ns = now_ns - asked.arrival_ns - self._line.time_ns(len(encode(reply)))
         turnaround_s = max(0.0, s_from_ns(wait_ns))
-        if reply.keyword in self._watch.keywords(self.joint.name):
-            value = reply.value if isinstance(reply.value, int) else None
-            fault = self._watch.take(self, reply.keyword, value)
+        if reply.keyword in self.servo.keywords:
+            fault = self.servo.take(reply.keyword, reply.value)
             return PolledReading(asked.arrival_ns, turnaround_s, fault=fault)
         statement = read_reply(self.joint.model.language, reply)
         if statement is None or not isinstance(statement.value, int | float):
@@ -465,12 +454,9 @@ class PositionPoller:
         """Return the fault that a status shows; None: there is none, or it is to be confirmed."""
         status = status_from(code, self.joint.model.family, self._firmware)
         before, self._status = self._status, status
-        was_limp, self._is_limp = self._is_limp, self._has_power and status is Status.LIMP
-        if self._is_limp:
-            self._watch.note_sign(self, asked_ns)
-            return STATUS_TEXTS[Cause.RESTARTED] if was_limp else None
         is_passing = status is Status.STUCK and before is not Status.STUCK
-        return None if is_passing else status_fault(status)
+        fault = self.servo.take_status(status, asked_ns)
+        return fault if is_passing or fault is not None else status_fault(status)
 
 
 def not_arrived(

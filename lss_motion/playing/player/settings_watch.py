@@ -17,6 +17,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from lss_motion.playing.player.health import STATUS_TEXTS
+from lss_motion.protocol.constants import Status
+from lss_motion.robot.on_fault import Cause
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -194,3 +197,68 @@ class SettingsWatch:
             f"has lost its settings: servo {state.joint.servo_id} answers {value} to {keyword}, it "
             f"was set to {probe.value}. It has restarted. Look at its power supply"
         )
+
+
+class ServoWatch:
+    """Watches one servo outside of a show: whether it has restarted since it was set up.
+
+    Its owner sends no move while it `is_doubtful`.
+    """
+
+    def __init__(self, joint: Joint) -> None:
+        self.joint = joint
+        self.powered_ns: int | None = None
+        """When the servo received what gives its motor power; None: it may be limp."""
+        self._watch = SettingsWatch({})
+        self.is_limp = False
+        """Whether its last status was that of a limp servo although it has power."""
+
+    def begin(self, probes: Sequence[Probe]) -> None:
+        """Watch from now on: the servo was set to these."""
+        self._watch = SettingsWatch({self.joint.name: probes})
+
+    def hold_back(self) -> None:
+        """Send no move to the servo: `is_doubtful` says so."""
+
+    @property
+    def has_settings(self) -> bool:
+        """Whether its settings are not in doubt, and not known to be lost."""
+        return self._watch.allows_moves(self.joint.name)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the servo may have restarted, or has."""
+        return self.is_limp or not self.has_settings
+
+    @property
+    def keywords(self) -> tuple[str, ...]:
+        """The queries whose answers `take` judges."""
+        return self._watch.keywords(self.joint.name)
+
+    @property
+    def urgent(self) -> str | None:
+        """The query that must be sent at once; None: there is no doubt."""
+        return self._watch.urgent(self.joint.name)
+
+    def note_timeout(self, now_ns: int) -> None:
+        """Note a query without an answer."""
+        self._watch.note_sign(self, now_ns)
+
+    def take(self, keyword: str, value: int | str | None) -> str | None:
+        """Judge the answer to a probe; return the text of the fault if the servo has restarted."""
+        return self._watch.take(self, keyword, value if isinstance(value, int) else None)
+
+    def take_status(self, status: Status, asked_ns: int) -> str | None:
+        """Judge a status; return the fault of a servo that is limp twice although it has power."""
+        was_limp = self.is_limp
+        is_driven = self.powered_ns is not None and asked_ns > self.powered_ns
+        self.is_limp = is_driven and status is Status.LIMP
+        if not self.is_limp:
+            return None
+        self._watch.note_sign(self, asked_ns)
+        return STATUS_TEXTS[Cause.RESTARTED] if was_limp else None
+
+    def trust(self) -> None:
+        """Note that the servo has the settings again that it had lost."""
+        self._watch.trust(self.joint.name)
+        self.is_limp, self.powered_ns = False, None
