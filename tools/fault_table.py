@@ -75,7 +75,7 @@ class Case:
     """The joint with the fault makes its careful run; no show is played."""
 
 
-def _servo(kind: FaultKind, **values: float) -> Rows:
+def _servo(kind: FaultKind, **values: object) -> Rows:
     """Return a fault of one servo from an instant on, for good or as `values` have it."""
     return lambda joint, at_s: [Fault(kind=kind, at_s=at_s, servo_id=joint.servo_id, **values)]  # type: ignore[arg-type]
 
@@ -117,6 +117,8 @@ CASES: Final = (
     Case("a servo restarts and is back after 20 ms", _servo(FaultKind.RESET, deaf_s=0.02)),
     Case("… after 0.3 s", _servo(FaultKind.RESET, deaf_s=0.3)),
     Case("… after 1.25 s, as after RESET", _servo(FaultKind.RESET)),
+    Case("another servo with another origin takes its place in 1.25 s",
+         _servo(FaultKind.EXCHANGED, settings={"O": 900})),
     Case("a servo falls silent for good", _servo(FaultKind.DEAF)),
     Case("a horn is held fast", _servo(FaultKind.STUCK)),
     Case("a motor has a tenth of its speed", _servo(FaultKind.WEAK, speed_ratio=0.1)),
