@@ -57,9 +57,12 @@ RATE_LEAST: Final = 0.01
 GAP_NS: Final = NS_PER_S // 4
 """A shorter delay is no stall. Chosen: four times the delay at which a move counts as missed
 (`quantize.LATEST_ARRIVAL_S`), and longer than any wait on a busy host that was measured."""
-HELD_UP_NS: Final = 60 * NS_PER_MS
-"""After a longer delay no servo gets a move before it has answered with its settings: it may have
-restarted meanwhile. Chosen: the delay at which a move counts as missed."""
+HELD_UP_NS: Final = 20 * NS_PER_MS
+"""After a longer delay answers are used before moves leave, and a servo that owes one gets no move
+before it has answered with its settings. Chosen: the shortest restart."""
+LONG_NS: Final = 150 * NS_PER_MS
+"""After a longer delay that holds for every servo. Chosen: queries before and after a shorter one
+meet a restart of usual length, and to hold all moves back each time would cost a busy host more."""
 NAMED_MAX: Final = 10
 """Number of delays that are reported. On a host that is too slow, every move would be one."""
 STALL_REASON: Final = (
@@ -119,7 +122,8 @@ class Player:
         """
         before_ns, self._machine.now_ns = self._machine.now_ns, leaves_ns
         if self._stalls.is_held_up(leaves_ns) and self._machine.streamer is not None:
-            self._machine.streamer.hold_all(leaves_ns)
+            is_long = self._stalls.is_held_up(leaves_ns, LONG_NS)
+            self._machine.streamer.hold_back(leaves_ns, is_long=is_long)
         if leaves_ns - before_ns >= GAP_NS:
             self._note_stall(leaves_ns)
         while self._machine.step(leaves_ns):
@@ -499,9 +503,9 @@ class StallDetector:
         gap_ns = 0 if wakeup_ns is None else now_ns - wakeup_ns
         return gap_ns if gap_ns >= GAP_NS else 0
 
-    def is_held_up(self, now_ns: int) -> bool:
-        """Return whether the call at `now_ns` is too late by more than `HELD_UP_NS`."""
-        return self.wakeup_ns is not None and now_ns - self.wakeup_ns > HELD_UP_NS
+    def is_held_up(self, now_ns: int, by_ns: int = HELD_UP_NS) -> bool:
+        """Return whether the call at `now_ns` is too late by more than `by_ns`."""
+        return self.wakeup_ns is not None and now_ns - self.wakeup_ns > by_ns
 
     def warning(self, gap_ns: int) -> str | None:
         """Return the warning about a delay in which no move was due; None: there were enough."""

@@ -173,11 +173,16 @@ class PollScheduler:
         if self.health.awaited:
             self.health.advance(now_ns)
 
-    def hold_all(self, now_ns: int) -> None:
-        """Hold back every servo until it answers to a probe: it may have restarted."""
-        for states in self._by_bus.values():
-            for state in states:
-                self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)
+    def hold_back(self, now_ns: int, *, is_long: bool) -> None:
+        """Hold servos back until they answer to a probe: they may have restarted in a pause.
+
+        In a long one any; in a short one those that owe an answer, or were in doubt before.
+        """
+        for bus, tracker in self._trackers.items():
+            for state in self._by_bus[bus]:
+                servo_id, name = state.joint.servo_id, state.joint.name
+                if is_long or tracker.is_waiting(servo_id) or name in self.watch.doubted:
+                    self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)
 
     def poll_behind(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Poll a servo of each bus that is due soon, behind the moves that leave now.

@@ -403,10 +403,10 @@ class Streamer:
         end_s = self._program.duration_s + SETTLE_S if is_last else self.waiting.next_s
         return None if end_s == math.inf else self.clock.instant_ns(end_s)
 
-    def hold_all(self, now_ns: int) -> None:
-        """Send a servo no move until it answers that it has its settings: it may have restarted."""
+    def hold_back(self, now_ns: int, *, is_long: bool) -> None:
+        """Send no move to servos that may have restarted in a pause, until they answer as set."""
         if self.scheduler is not None:
-            self.scheduler.hold_all(now_ns)
+            self.scheduler.hold_back(now_ns, is_long=is_long)
 
     def receive(self, bus: str, reply: Reply, ended_ns: int, now_ns: int) -> None:
         """Use a reply that ended at `ended_ns`, shortly before `now_ns`."""
