@@ -237,7 +237,6 @@ def _run_joint(
     terminal: Terminal,
 ) -> CarefulRun:
     """Run the legs of one joint, which a person knows: from where it stood, by its way."""
-    from lss_motion.cli.terminal import StopControls
     from lss_motion.maintenance.careful import NEAR_DEG, CarefulRun
     from lss_motion.playing.runner import run
 
@@ -253,7 +252,7 @@ def _run_joint(
         )
     timed = _timed(joint, answers)
     careful = CarefulRun(timed, robot, answers, standing_deg=stood_deg, way_deg=way_deg)
-    run(careful, connection.ports, connection.clock, controls=StopControls(terminal))
+    run(careful, connection.ports, connection.clock, controls=terminal)
     return careful
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
+from lss_motion.files.source import aligned
 from lss_motion.playing.player.events import (
     Checked,
     CueReached,
@@ -39,8 +40,8 @@ YES_KEYS: Final = "yY"
 NO_KEYS: Final = "nNqQ\r\n\x1b\x03\x04"
 """Enter alone means no, as the question shows."""
 CAREFUL_KEYS: Final = "cC"
-LEFT_COLUMNS: Final = (0, 2, 4)
-"""The columns of words in the table of servos; the others are numbers."""
+NUMBER_COLUMNS: Final = (1, 3, 5, 6, 7, 8, 9, 10)
+"""The columns of numbers in the table of servos."""
 WAIT_TEXTS: Final = {
     "begun": "        waiting for {}",
     "met": "        {}: going on",
@@ -168,15 +169,7 @@ def servo_table(servos: Sequence[Found]) -> list[str]:
     """Return a table of the checked servos, one line each. An unknown value is a dash."""
     head = ("joint", "servo", "model", "firmware", "status", "at", "to start", "V", "°C", "deg/s",
             "deg/s²")  # fmt: skip
-    rows = [head, *map(_row, servos)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-    return [
-        "  ".join(
-            text.ljust(width) if column in LEFT_COLUMNS else text.rjust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    return aligned([head, *map(_row, servos)], right=NUMBER_COLUMNS)
 
 
 def _row(found: Found) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
+from lss_motion.files.source import aligned
 
 if TYPE_CHECKING:
     import argparse
@@ -137,10 +138,9 @@ def _stage(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({"rows": to_builtins(rows)})
     else:
-        widths = [max(len(getattr(row, key)) for row in rows) for key in ("figure", "subject")]
-        for row in rows:
-            name, subject = f"{row.figure:{widths[0]}}", f"{row.subject:{widths[1]}}"
-            print(f"{row.level:4}  {name}  {subject}  {row.text}")
+        cells = [(f"{row.level:4}", row.figure, row.subject, row.text) for row in rows]
+        for line in aligned(cells):
+            print(line)
     return EXIT_UNREACHABLE if any(row.level == "bad" for row in rows) else EXIT_FINISHED
 
 

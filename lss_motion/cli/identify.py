@@ -264,7 +264,6 @@ def _measured(
     connection: Connection, robot: Robot, joint: Joint, span_deg: float, terminal: Terminal
 ) -> Experiment:
     """Run the trials of one joint; raise the error that ended them."""
-    from lss_motion.cli.terminal import StopControls
     from lss_motion.maintenance.identify.experiment import Experiment
     from lss_motion.maintenance.identify.trials import make_window
     from lss_motion.playing.player import handshake
@@ -281,7 +280,7 @@ def _measured(
         connection.ports,
         connection.clock,
         on_turn=progress.show,
-        controls=StopControls(terminal),
+        controls=terminal,
     )
     progress.clear()
     if experiment.error is not None and not experiment.is_stopped:

@@ -306,7 +306,6 @@ def _perform(
 
     Add to `problems` why the log is not complete, if it is not.
     """
-    from lss_motion.cli.terminal import LoggedControls
     from lss_motion.playing.run import Observer, perform
 
     with contextlib.ExitStack() as stack:
@@ -324,10 +323,10 @@ def _perform(
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             stack.enter_context(log.reporting_to(problems))
         note = print_line if display is None else display.note
-        is_following = arguments.follow is not None
-        controls = terminal if log is None or is_following else LoggedControls(terminal, log)
         note_answer = None if log is None else log.requested
-        confirmation = Confirmation(controls, terminal, robot.name, note_answer, offer=offer)
+        if note_answer is not None and arguments.follow is None:
+            terminal.note_request = note_answer
+        confirmation = Confirmation(terminal, terminal, robot.name, note_answer, offer=offer)
         link = stack.enter_context(opened_timecode(arguments, show.program, note))
         observer = Observer(
             on_event=lambda event: print_event(event, note),

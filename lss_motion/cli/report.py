@@ -16,7 +16,7 @@ from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.options import OPTIONS, add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
-from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
+from lss_motion.files.source import RECORDING_MAX_BYTES, aligned, read_text
 
 if TYPE_CHECKING:
     import argparse
@@ -112,12 +112,7 @@ def _differences(before: dict[str, Any], after: dict[str, Any]) -> Iterator[str]
         yield "the numbers are the same"
         return
     rows.insert(0, ("", "first", "second", ""))
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    for name, was_text, now_text, ratio in rows:
-        yield (
-            f"{name:{widths[0]}}  {was_text:>{widths[1]}}  {now_text:>{widths[2]}}  "
-            f"{ratio:>{widths[3]}}"
-        ).rstrip()
+    yield from aligned(rows, right=(1, 2, 3))
 
 
 def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:  # noqa: ANN401  JSON

@@ -1,7 +1,7 @@
 """Keys and signals during a run: space pauses, + and - change the speed, q and Ctrl-C stop.
 
 `Inputs` collects keys and signals and never blocks. `Terminal` turns them into orders for what is
-driven; `LoggedControls` also writes these orders to a log, from which `replay` repeats them.
+driven.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import signal
 import socket
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 
 from lss_motion.playing.player.events import PlayerRequest
 from lss_motion.playing.sound_choice import OFFSET_STEP_S
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
 
-    from lss_motion.playing.log import ByteLog
     from lss_motion.playing.sound_choice import SoundChoice
 
 
@@ -158,10 +157,15 @@ class Inputs:
         self._keys_fd = stdin
 
 
-class Steerable(Protocol):
-    """What `Terminal` steers: a show, or another motion."""
+class Stoppable(Protocol):
+    """A motion that `Terminal` stops."""
 
     def stop(self, now_ns: int) -> None: ...
+
+
+@runtime_checkable
+class Steerable(Stoppable, Protocol):
+    """A motion that has other speeds, too."""
 
     def set_rate(self, rate: float, now_ns: int) -> None: ...
 
@@ -188,33 +192,41 @@ class Terminal(Inputs):
         self._rate = rate
         self._must_set = rate != 1.0
         self._is_paused = False
+        self.note_request: Callable[[PlayerRequest, int], None] = _forget
+        """Notes the orders for a log, from which `replay` repeats them."""
 
-    def act(self, driven: Steerable, now_ns: int) -> None:
+    def act(self, driven: Stoppable, now_ns: int) -> None:
         """Apply the keys and signals since the last call."""
         if self._must_set:
             self._must_set = False
-            driven.set_rate(self._rate, now_ns)
+            self._set_rate(driven, self._rate, now_ns)
         signals_count, keys = self.take()
         if self._on_keys is not None:
             self._on_keys(keys)
             keys = ""
         stops_count = signals_count + sum(key in STOP_KEYS for key in keys)
         for _ in range(stops_count):
+            self.note_request(PlayerRequest("stop"), now_ns)
             driven.stop(now_ns)
         if stops_count == 0:
             for key in keys:
                 self._press(key, driven, now_ns)
 
-    def _press(self, key: str, driven: Steerable, now_ns: int) -> None:
+    def _set_rate(self, driven: Stoppable, rate: float, now_ns: int) -> None:
+        if isinstance(driven, Steerable):
+            self.note_request(PlayerRequest("rate", (rate,)), now_ns)
+            driven.set_rate(rate, now_ns)
+
+    def _press(self, key: str, driven: Stoppable, now_ns: int) -> None:
         match key:
             case " ":
                 self._is_paused = not self._is_paused
-                driven.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+                self._set_rate(driven, 0.0 if self._is_paused else self._rate, now_ns)
             case "+" | "=" | "-" | "_":
                 step = RATE_STEP if key in "+=" else -RATE_STEP
                 self._rate = round(min(max(self._rate + step, RATE_MIN), 1.0), 3)
                 if not self._is_paused:
-                    driven.set_rate(self._rate, now_ns)
+                    self._set_rate(driven, self._rate, now_ns)
             case "," | "." if self.sound is not None:
                 self.sound.shift(OFFSET_STEP_S if key == "." else -OFFSET_STEP_S)
             case "k" | "K" if self.sound is not None:
@@ -223,61 +235,5 @@ class Terminal(Inputs):
                 pass
 
 
-class Stoppable(Protocol):
-    """A motion that can be stopped, but has one speed only."""
-
-    def stop(self, now_ns: int) -> None: ...
-
-
-class StopControls:
-    """Keys and signals for a `Stoppable`."""
-
-    def __init__(self, terminal: Terminal) -> None:
-        self._terminal = terminal
-
-    def filenos(self) -> Sequence[int]:
-        return self._terminal.filenos()
-
-    def act(self, driven: Stoppable, now_ns: int) -> None:
-        self._terminal.act(_OneSpeed(driven), now_ns)
-
-
-class _OneSpeed:
-    """A `Stoppable` as the terminal steers it."""
-
-    def __init__(self, driven: Stoppable) -> None:
-        self._driven = driven
-
-    def stop(self, now_ns: int) -> None:
-        self._driven.stop(now_ns)
-
-    def set_rate(self, rate: float, now_ns: int) -> None:
-        """Do nothing: it has one speed."""
-
-
-class LoggedControls:
-    """A terminal whose orders are written to a log."""
-
-    def __init__(self, terminal: Terminal, log: ByteLog) -> None:
-        self._terminal = terminal
-        self._log = log
-
-    def filenos(self) -> Sequence[int]:
-        return self._terminal.filenos()
-
-    def act(self, driven: Steerable, now_ns: int) -> None:
-        self._terminal.act(_LoggedSteering(driven, self._log), now_ns)
-
-
-class _LoggedSteering:
-    def __init__(self, driven: Steerable, log: ByteLog) -> None:
-        self._driven = driven
-        self._log = log
-
-    def set_rate(self, rate: float, now_ns: int) -> None:
-        self._log.requested(PlayerRequest("rate", (rate,)), now_ns)
-        self._driven.set_rate(rate, now_ns)
-
-    def stop(self, now_ns: int) -> None:
-        self._log.requested(PlayerRequest("stop"), now_ns)
-        self._driven.stop(now_ns)
+def _forget(_request: PlayerRequest, _now_ns: int) -> None:
+    """No log is written."""

@@ -16,7 +16,7 @@ from lss_motion.errors import InputError
 from lss_motion.files.record import note_content
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sized
+    from collections.abc import Container, Iterable, Sequence, Sized
     from pathlib import Path
 
 
@@ -128,6 +128,18 @@ def known_names(word: str, names: Iterable[str]) -> str:
 def counted(things: Sized, one: str, many: str | None = None) -> str:
     """Return a count with its noun, such as `1 joint` or `5 joints`."""
     return f"{len(things)} {one if len(things) == 1 else many or one + 's'}"
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Container[int] = ()) -> list[str]:
+    """Return the rows of a table as lines; the columns `right` are aligned to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            text.rjust(width) if column in right else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def duration_text(duration_s: float) -> str:

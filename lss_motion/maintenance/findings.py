@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.files.source import aligned
 from lss_motion.playing.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
 from lss_motion.playing.player.unasked import unasked_text, unreadable_text
 from lss_motion.protocol.constants import Family, SafeModeCause, Status
@@ -174,18 +175,13 @@ def table(servos: Sequence[ServoCondition], names: Mapping[int, str]) -> list[st
             servo.status.value if servo.status is not None else "-",
         )
         rows.append((names.get(servo.servo_id, "-"), *cells) if names else cells)
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [_aligned(row, widths) for row in rows]
+    return aligned(rows)
 
 
 def _kind(servo: ServoCondition) -> str:
     if servo.identity.is_doubtful:
         return "unreadable"
     return "several at once" if servo.identity.is_shared else servo.identity.model or "-"
-
-
-def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 def _cell(value: float | None, form: str) -> str:
