@@ -47,7 +47,6 @@ careful         the careful run before a show, and what is learnt in it; `play`
 dialog          the question before a real robot moves, and a line an event; `play`, `walk`
 display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
-sounds          the offset of sounds that is kept, sounds that were silent; `play`
 voices          a sound as motion: the options and texts of `import`; `exchange`
 served          what is needed to serve, and what is printed of it; `studio`, `serve`
 servo_settings  reads and writes settings over an open connection; `configure`

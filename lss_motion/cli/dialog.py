@@ -167,7 +167,7 @@ def _cue_text(cue: Cue) -> str:
 
 def servo_table(servos: Sequence[Found]) -> list[str]:
     """Return a table of the checked servos, one line each. An unknown value is a dash."""
-    head = ("joint", "servo", "model", "firmware", "status", "at", "to start", "V", "°C", "deg/s",
+    head = ("joint", "id", "model", "fw", "status", "at", "start", "V", "°C", "deg/s",
             "deg/s²")  # fmt: skip
     return aligned([head, *map(_row, servos)], right=NUMBER_COLUMNS)
 

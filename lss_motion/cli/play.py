@@ -9,13 +9,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from msgspec.structs import replace
+
 from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
 from lss_motion.cli.commands import add_command, add_version, prepared
 from lss_motion.cli.consent import may_call
 from lss_motion.cli.dialog import Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put
 from lss_motion.cli.options import OPTIONS, UNLIMITED_HELP, add_options, number_from
-from lss_motion.cli.sounds import offset_lines, unplayed_lines, with_kept_offset
 from lss_motion.cli.timecode import add_arguments as add_timecode_options
 from lss_motion.cli.timecode import opened as opened_timecode
 from lss_motion.cli.timecode import specs_of as require_timecode
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.log import PlayedShow
     from lss_motion.playing.report import Report
     from lss_motion.playing.run import Result
+    from lss_motion.playing.sound_choice import SoundChoice, SoundReport
     from lss_motion.robot.model import Robot
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
@@ -233,7 +235,7 @@ def _play(
         result, is_careful = _perform(
             arguments,
             show,
-            with_kept_offset(robot),
+            _with_kept_offset(robot),
             print_line,
             terminal,
             problems,
@@ -245,9 +247,9 @@ def _play(
         problems += _write_results(arguments, result)
         if result.report.outcome == "finished":
             learning.note_completed()
-        for text in [*problems, *unplayed_lines(result.report.sound)]:
+        for text in [*problems, *_unplayed_lines(result.report.sound)]:
             put(f"lss-play: {text}", sys.stderr)
-        for line in offset_lines(robot, sound):
+        for line in _offset_lines(robot, sound):
             print_line(line)
         if result.error is not None:
             raise _explained(result.error, result)
@@ -449,6 +451,52 @@ def _loop(text: str) -> int | str:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a count from 1 up nor `forever`")
     return int(text)
+
+
+def _with_kept_offset(robot: Robot) -> Robot:
+    """Return the robot with the offset that was kept with the key k, if its file states none."""
+    from lss_motion.robot.model import learnt_path
+
+    if robot.path is None or robot.sound_offset_s or not learnt_path(robot.path).exists():
+        return robot
+    from lss_motion.robot.learnt import load_learnt
+
+    try:
+        kept_s = load_learnt(robot).sound_offset_s
+    except InputError:  # `careful.Learning` has named what is wrong with the file.
+        return robot
+    return replace(robot, sound_offset_s=kept_s) if kept_s else robot
+
+
+def _offset_lines(robot: Robot, sound: SoundChoice) -> list[str]:
+    """Keep the offset if this was requested; return what a person must know about it.
+
+    `robot` is that of the robot file, without what was kept before.
+    """
+    if not sound.shift_s and not sound.is_kept:
+        return []
+    from lss_motion.robot.learnt import load_learnt, save_learnt
+    from lss_motion.robot.model import learnt_path
+
+    offset_s = round(_with_kept_offset(robot).sound_offset_s + sound.shift_s, 4)
+    by_hand = f"sound_offset_s: {offset_s:g} in the robot file"
+    if not sound.is_kept:
+        return [f"the sounds were shifted to {offset_s:g} s; to keep that: key k, or {by_hand}"]
+    if robot.sound_offset_s or robot.path is None:
+        return [f"the robot file states its own sound_offset_s; to change it: {by_hand}"]
+    try:
+        learnt = load_learnt(robot).model_copy(update={"sound_offset_s": offset_s})
+        save_learnt(learnt, robot)
+    except InputError as error:
+        return [f"warning: the offset of the sounds is not kept: {error}; give {by_hand}"]
+    return [f"the sounds stay at {offset_s:g} s: kept in {learnt_path(robot.path).name}"]
+
+
+def _unplayed_lines(sound: SoundReport | None) -> list[str]:
+    """Return which sounds were not played, although the show was."""
+    if sound is None or not sound.not_played:
+        return []
+    return [f"not played: {', '.join(sound.not_played)}"]
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 
-from lss_motion.playing.player.events import PlayerRequest
+from lss_motion.playing.player.events import PlayerRequest, note_nowhere
 from lss_motion.playing.sound_choice import OFFSET_STEP_S
 from lss_motion.system.reactor import wait_for
 from lss_motion.system.signals import ENDING
@@ -192,7 +192,7 @@ class Terminal(Inputs):
         self._rate = rate
         self._must_set = rate != 1.0
         self._is_paused = False
-        self.note_request: Callable[[PlayerRequest, int], None] = _forget
+        self.note_request: Callable[[PlayerRequest, int], None] = note_nowhere
         """Notes the orders for a log, from which `replay` repeats them."""
 
     def act(self, driven: Stoppable, now_ns: int) -> None:
@@ -233,7 +233,3 @@ class Terminal(Inputs):
                 self.sound.is_kept = True
             case _:
                 pass
-
-
-def _forget(_request: PlayerRequest, _now_ns: int) -> None:
-    """No log is written."""

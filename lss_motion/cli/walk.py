@@ -326,6 +326,6 @@ def _perform(
 def speed_text(twist: Twist) -> str:
     """Return the text of a velocity."""
     return (
-        f"{twist.forward_mm_s:.0f} mm/s forward, {twist.left_mm_s:.0f} mm/s left, "
-        f"{twist.turn_deg_s:.0f} deg/s"
+        f"{twist.forward_mm_s:z.0f} mm/s forward, {twist.left_mm_s:z.0f} mm/s left, "
+        f"{twist.turn_deg_s:z.0f} deg/s"
     )

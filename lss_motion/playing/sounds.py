@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.playing.performer_process import SOUND_PLAYERS, sound_player
-from lss_motion.playing.player.events import Noted, PlayerRequest
+from lss_motion.playing.player.events import Noted, PlayerRequest, note_nowhere
 from lss_motion.playing.player.show_clock import TRIM_MAX_RATIO, Leg
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.system.clock_leg import RATE_BAND
@@ -81,7 +81,7 @@ class SoundDesk:
         from lss_motion.sound.files import has_soundfile
 
         self._choice = choice
-        self._note_request: Callable[[PlayerRequest, int], None] = _forget
+        self._note_request: Callable[[PlayerRequest, int], None] = note_nowhere
         self._tell: Callable[[Event], None] = _ignore
         self._program = program
         self._changes, self._is_cleared = 0, False
@@ -118,7 +118,7 @@ class SoundDesk:
     ) -> None:
         """Tell a person what has changed; write what decides about the show to a log, too."""
         self._tell = tell
-        self._note_request = note_request or _forget
+        self._note_request = note_request or note_nowhere
 
     def turn(self, player: Player, now_ns: int) -> None:
         """Tell the process what has changed; let the show follow what is heard."""
@@ -348,10 +348,6 @@ class SoundDesk:
 
 def _ignore(_event: Event) -> None:
     """No person watches."""
-
-
-def _forget(_request: PlayerRequest, _now_ns: int) -> None:
-    """There is no log."""
 
 
 def _fallback_text(problem: str) -> str:

@@ -376,7 +376,7 @@ def test_a_show_without_feedback_needs_limits_that_the_servos_store(folder, caps
         assert play(words) == 2
         errors = capsys.readouterr().err
         assert "nothing notices a servo that restarts" in errors
-        assert "pan (servo 1): SD 360, the joint allows 180 deg/s" in errors
+        assert "pan (servo 1): speed 360 deg/s (SD), the joint allows 180" in errors
         assert "configure" in errors
         assert not any(is_move(line) for _, line in served.bus.lines)
         configure = ["configure", str(folder / "robot.yaml"), "--port", served.path, "--yes"]
@@ -399,7 +399,7 @@ def test_a_real_robot_tells_of_higher_stored_limits(folder, capsys):
         doctor = ["doctor", str(folder / "robot.yaml"), "--port", served.path]
         assert main(doctor) == 0
         printed = capsys.readouterr().out
-        assert "pan (servo 1): SD 360, the joint allows 180 deg/s" in printed
+        assert "pan (servo 1): speed 360 deg/s (SD), the joint allows 180" in printed
         assert "2 servos answer as 'pair' has them" in printed
         words = [str(show), "--port", served.path, "--yes", "--no-feedback", "--force"]
         assert play(words) == 0

@@ -426,6 +426,10 @@ def stored_excesses(joints: Iterable[Joint], stored: Answers) -> list[str]:
     return [text for joint in joints if (text := _stored_excess(joint, stored))]
 
 
+STORED_NAMES: Final = {"SD": "speed", "AA": "acceleration", "AD": "deceleration"}
+"""What a stored limit is, for a person."""
+
+
 def _stored_excess(joint: Joint, stored: Answers) -> str:
     rows, parts = storable(joint.model.language), []
     for name, allowed in stored_limits(joint).items():
@@ -436,8 +440,8 @@ def _stored_excess(joint: Joint, stored: Answers) -> str:
         elif not isinstance(value, int):
             parts.append(f"{name} unknown")
         elif value > allowed:
-            limit = f"{row.physical(allowed):g} {row.unit}"
-            parts.append(f"{name} {row.physical(value):g}, the joint allows {limit}")
+            what = f"{STORED_NAMES[name]} {row.physical(value):g} {row.unit} ({name})"
+            parts.append(f"{what}, the joint allows {row.physical(allowed):g}")
     return f"{joint.name} (servo {joint.servo_id}): {'; '.join(parts)}" if parts else ""
 
 

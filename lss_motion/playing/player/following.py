@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.approach import approach_s
-from lss_motion.playing.player.events import Phase, PlayerRequest
+from lss_motion.playing.player.events import Phase, PlayerRequest, note_nowhere
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Following:
         """How far the leader is ahead of the show, while it is in step."""
         self.jumps = 0
         """How often the show was too far off, and rejoined."""
-        self.note_request: Callable[[PlayerRequest, int], None] = _forget
+        self.note_request: Callable[[PlayerRequest, int], None] = note_nowhere
         """Notes what decides about the show, for a log."""
         self._leader: Leg | None = None
         self._coming: Leg | None = None
@@ -404,7 +404,3 @@ class Following:
         count = self._named[kind] = self._named.get(kind, 0) + 1
         if count <= NAMED_MAX:
             self._texts.append(text)
-
-
-def _forget(_request: PlayerRequest, _now_ns: int) -> None:
-    """No log is written."""

@@ -303,5 +303,6 @@ def _action_text(gait: Gait, action: Action, pace_ratio: float) -> str:
     cycle_s = gait.cycle_s * pace_ratio
     how = " and ".join(moves) or "on the spot"
     more = action.more_cycles
-    count = "forever, in" if more is None else f"{action.cycles + more}"
-    return f"{action.label}{place}: {how}, {count} cycles of {cycle_s:.2f} s"
+    count = None if more is None else action.cycles + more
+    cycles = "forever, in cycles" if count is None else f"{count} cycle{'' if count == 1 else 's'}"
+    return f"{action.label}{place}: {how}, {cycles} of {cycle_s:.2f} s"

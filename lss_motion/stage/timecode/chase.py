@@ -309,7 +309,7 @@ class Chase:
             self.say(
                 "timecode runs at 0.999 of its speed, as 23.976 or 29.97 frames a second that are "
                 "labelled as 24 or 30: followed as it runs. If its seconds are to count instead, "
-                "give --rate-fps 23.976 or 29.97"
+                "ask for the rate 23.976 or 29.97"
             )
 
     # ---- legs

@@ -67,7 +67,7 @@ def read_follow(
     kind = cast("FollowKind", word)
     is_network = kind in ("artnet", "fpp")
     if kind == "fpp" and rate is not None:
-        raise InputError("FPP sends seconds: --rate-fps has no meaning with it")
+        raise InputError("FPP sends seconds: a frame rate has no meaning with it")
     return FollowSpec(
         kind=kind,
         name="" if is_network else rest,

@@ -38,13 +38,13 @@ def of_label(coded: Rate, wanted: Rate | None, say: Say, way: str) -> Rate | Non
         return coded
     if wanted.labels != coded.labels:
         say(
-            f"{way} comes with {coded.labels} frames a second, but --rate-fps is {wanted.name}: "
+            f"{way} comes with {coded.labels} frames a second, but {wanted.name} are asked for: "
             f"it is not followed. Change one of them"
         )
         return None
     if wanted.is_drop != coded.is_drop:
         has = "drop-frame" if coded.is_drop else "no drop-frame"
-        say(f"{way} has {has}, other than --rate-fps {wanted.name}: read as it is")
+        say(f"{way} has {has}, other than the {wanted.name} asked for: read as it is")
         return FPS_29_97_DROP if coded.is_drop else (FPS_29_97 if wanted.is_drop else wanted)
     return wanted
 

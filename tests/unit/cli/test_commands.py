@@ -181,7 +181,7 @@ def test_doctor_names_the_limits_with_which_a_servo_would_restart(capsys):
     assert [finding["text"].split()[0] for finding in stored] == [
         "base", "shoulder", "elbow", "wrist", "gripper"
     ]  # fmt: skip
-    assert "SD 360, the joint allows 180 deg/s" in stored[0]["text"]
+    assert "speed 360 deg/s (SD), the joint allows 180" in stored[0]["text"]
     assert stored[0]["fix"] == f"lss-motion configure {ROBOT} --limits"
 
 

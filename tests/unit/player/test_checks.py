@@ -225,7 +225,8 @@ def test_a_servo_that_stores_higher_limits_is_named_with_them(kit):
     one = kit.joint()
     (text,) = checks.stored_excesses([one], stored(QAA=40))
     assert text == (
-        "j0 (servo 1): SD 360, the joint allows 180 deg/s; AD 1000, the joint allows 600 deg/s²"
+        "j0 (servo 1): speed 360 deg/s (SD), the joint allows 180; "
+        "deceleration 1000 deg/s² (AD), the joint allows 600"
     )
     assert checks.stored_excesses([one], stored(QSD=1800, QAA=60, QAD=9)) == []
     (text,) = checks.stored_excesses([one], stored(QSD=1800, QAA=60, QAD=9, QEM=0))

@@ -179,7 +179,7 @@ def test_the_rate_of_ltc_is_measured_and_a_wrong_one_is_said():
         assert last.position_s - 3600.0 == pytest.approx(last.instant_ns / 1e9, abs=1e-4)
     assert said == []
     assert heard(LtcReader(48000, FPS_24, said.append), sound) == []
-    assert "30 frames a second, but --rate-fps is 24" in said[0]
+    assert "30 frames a second, but 24 are asked for" in said[0]
     slow = sound_of(Timecode(1, 0, 0, 0), FPS_23_976, 12, 48000)
     found = heard(LtcReader(48000, FPS_23_976, said.append), slow)
     assert found[-1].position_s - 3603.6 == pytest.approx(found[-1].instant_ns / 1e9, abs=1e-4)
