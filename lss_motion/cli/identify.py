@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
-from lss_motion.cli.messages import ended_by
+from lss_motion.cli.messages import StepLine, ended_by
 from lss_motion.cli.options import add_options
 from lss_motion.errors import (
     EXIT_FINISHED,
@@ -274,15 +274,17 @@ def _measured(
     assert standing_deg is not None, "`examined` raises without it"
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)
-    progress = _Progress(joint.name)
+    step = StepLine()
     run(
         experiment,
         connection.ports,
         connection.clock,
-        on_turn=progress.show,
+        on_turn=lambda driven, _: step.show(
+            f"{joint.name}: {int(100.0 * driven.progress_ratio)} %"
+        ),
         controls=terminal,
     )
-    progress.clear()
+    step.show("")
     if experiment.error is not None and not experiment.is_stopped:
         raise experiment.error
     return experiment
@@ -334,22 +336,3 @@ def _write(
     output = arguments.output or path
     write_response(path, joint.name, values, comments, output=output)
     print(f"{joint.name}: written to {output}", flush=True)
-
-
-class _Progress:
-    """The progress of a measurement, on a terminal."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._is_shown = sys.stderr.isatty()
-        self._percent = -1
-
-    def show(self, driven: Experiment, now_ns: int) -> None:  # noqa: ARG002  (signature of the runner)
-        percent = int(100.0 * driven.progress_ratio)
-        if self._is_shown and percent != self._percent:
-            self._percent = percent
-            print(f"\r{self._name}: {percent} %", end="", file=sys.stderr, flush=True)
-
-    def clear(self) -> None:
-        if self._is_shown:
-            print("\r", end="", file=sys.stderr, flush=True)

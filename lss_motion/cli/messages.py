@@ -95,6 +95,20 @@ def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
             )
 
 
+class StepLine:
+    """The present step on standard error, where that is a terminal, in place of the one before."""
+
+    def __init__(self) -> None:
+        self._is_shown = sys.stderr.isatty()
+        self._text = ""
+
+    def show(self, text: str) -> None:
+        """Show a step; an empty one clears the line."""
+        if self._is_shown and text != self._text:
+            self._text = text
+            put(f"\r\x1b[K{text}", sys.stderr, end="")
+
+
 def discard(text: str) -> None:
     """Print nothing: the line printer of a quiet run."""
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command, prepared, print_json, reader
-from lss_motion.cli.messages import put
+from lss_motion.cli.messages import StepLine
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -222,17 +221,14 @@ def _trials(show: Show) -> list[Trial]:
     """Return all trials of `--robust`; on a terminal, show how many of them are done."""
     from lss_motion.playing.robustness import WORSE, trials
 
-    found = []
-    has_progress = sys.stderr.isatty()
+    found: list[Trial] = []
+    step = StepLine()
     try:
         for trial in trials(show, WORSE):
             found.append(trial)
-            if has_progress:
-                text = f"simulated robots: {len(found)} of {1 + len(WORSE)}"
-                put(f"\r\x1b[K{text}", sys.stderr, end="")
+            step.show(f"simulated robots: {len(found)} of {1 + len(WORSE)}")
     finally:
-        if has_progress:
-            put("\r\x1b[K", sys.stderr, end="")
+        step.show("")
     return found
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, print_json, require_baud, robot_at
+from lss_motion.cli.messages import StepLine
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -79,15 +80,15 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
         raise InputError(
             "-o writes the robot of one port; this robot has several", path=arguments.robot
         )
-    is_good = True
+    is_good, step = True, StepLine()
     with connect(buses, robot=robot) as connection:
         if connection.simulated:
             print(SIMULATED_NOTE)
         for bus in buses.values():
             try:
-                looks = survey(connection, bus, arguments.baud, _progress)
+                looks = survey(connection, bus, arguments.baud, step.show)
             finally:
-                _progress("")  # Errors begin on a line of their own.
+                step.show("")  # Errors begin on a line of their own.
             others = unreadable(connection, bus)
             frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
             problems, notes = _print_findings(bus, robot, looks, frames, others)
@@ -96,12 +97,6 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
             if arguments.output is not None:
                 _write_starter(arguments.output, bus, looks)
     return EXIT_FINISHED if is_good else EXIT_UNREACHABLE
-
-
-def _progress(text: str) -> None:
-    """Show the present step on a terminal, in place of the one before."""
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _bus(port: str | None) -> Bus:
