@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from campaign import judge, witness
+from campaign.__main__ import again
 from campaign.stale import lawless_ns
 from campaign.three_shows import NAMES, show
 from msgspec.structs import replace
@@ -226,3 +227,8 @@ def test_the_independent_judge_objects_to_a_command_out_of_the_range(monkeypatch
         lambda self, target, at_ns: wire_for(self, target, at_ns) + 900,
     )
     assert "is out of the range" in objections("arm")
+
+
+def test_the_command_that_repeats_a_seed_names_no_other_seeds():
+    words = ["shows", "--from", "3", "--any", "--seeds=9", "--judge", "both", "--jobs", "2"]
+    assert again(7, words) == "shows --any --judge both --from 7 --seeds 1"

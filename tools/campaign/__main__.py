@@ -102,8 +102,19 @@ def _show(seed: int, told: Told, words: Sequence[str]) -> None:
         print(f"seed {seed}: FAILED: {promise}")
     for line in told.about:
         print(f"  {line}")
-    again = f"{shlex.join(words)} --from {seed} --seeds 1 --jobs 1"
-    print(f"  tools/run python tools/campaign {again}", flush=True)
+    print(f"  tools/run python tools/campaign {again(seed, words)}", flush=True)
+
+
+def again(seed: int, words: Sequence[str]) -> str:
+    """Return the words that play one seed as these do."""
+    kept, rest = [], iter(words)
+    for word in rest:
+        name, _, value = word.partition("=")
+        if name not in ("--from", "--seeds", "--seconds", "--jobs"):
+            kept.append(word)
+        elif not value:
+            next(rest)
+    return f"{shlex.join(kept)} --from {seed} --seeds 1"
 
 
 def _summary(outcomes: Counter[str], failed: int, passed_s: float) -> str:
