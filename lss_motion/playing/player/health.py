@@ -17,7 +17,7 @@ from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from lss_motion.playing.player.joint_state import JointState
+    from lss_motion.playing.player.joint_state import JointState, Observation
     from lss_motion.robot.model import Joint
 
     FaultKey = tuple[str, Cause]
@@ -127,14 +127,13 @@ class HealthMonitor:
         self.doubled: set[str] = set()
         """Joints whose answers come twice: two servos may have the id."""
 
-    def position(self, state: JointState, arrival_ns: int) -> None:
-        """Judge the last accepted reading; the servo received the query at `arrival_ns`.
+    def position(self, joint: Joint, seen: Observation, arrival_ns: int) -> None:
+        """Judge an accepted reading; the servo received the query at `arrival_ns`.
 
         A joint that is on its way back to its plan, as its moves require after a delay of this
         program, is not astray.
         """
-        joint, error_deg = state.joint, abs(state.disturbance.error_deg)
-        error_deg = min(error_deg, abs(state.disturbance.model_error_deg))
+        error_deg = min(abs(seen.error_deg), abs(seen.model_error_deg))
         trouble = (joint.name, Cause.ASTRAY)
         if error_deg <= joint.following_deg:
             self._astray_since_ns.pop(joint.name, None)

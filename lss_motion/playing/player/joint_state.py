@@ -87,6 +87,17 @@ class DeferredTarget(NamedTuple):
     """Travel speed of a timed joint on the way there."""
 
 
+class Observation(NamedTuple):
+    """What an accepted reading of the angle shows."""
+
+    has_lost_move: bool
+    """The servo has not received the move under way: `profile` is the one that it follows."""
+    error_deg: float
+    """How far the horn is from its plan."""
+    model_error_deg: float
+    """How far it is from where its moves should have taken it."""
+
+
 @dataclass(slots=True)
 class JointState:
     """State of one joint. Angles are servo degrees; instants are on the run clock.
@@ -488,11 +499,8 @@ class JointState:
             self.profile = other
         return other is not None
 
-    def take_position(self, measured_deg: float, read_s: float, planned_deg: float) -> bool | None:
-        """Use the horn angle that was measured at `read_s`; None: it was rejected.
-
-        Return whether the servo has lost a move, as `take_target` does.
-        """
+    def observe(self, measured_deg: float, read_s: float, planned_deg: float) -> Observation | None:
+        """Use the horn angle that was measured at `read_s`; None: it was rejected."""
         assert self.lost_moves is not None
         horn, before_deg = self.disturbance.horn, self.disturbance.measured_deg
         course_s = read_s - self.lead_s - horn.early_s
@@ -509,7 +517,9 @@ class JointState:
             self.profile = other
         elif not (self.lost_moves.is_doubtful or self.in_doubt):
             self._learn(measured_deg, read_s, elapsed_s, before_deg)
-        return other is not None
+        joint_deg, load = self.joint.joint_deg, self.disturbance
+        self.trace.add(read_s - self.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))
+        return Observation(other is not None, load.error_deg, load.model_error_deg)
 
     def _learn(
         self, measured_deg: float, read_s: float, elapsed_s: float, before_deg: float | None

@@ -496,19 +496,16 @@ class PollScheduler:
             self.rejected[bus] += 1
             return
         self._release(state)
-        planned_deg = plan_deg(state, query.arrival_ns)
-        missed = state.take_position(measured_deg, read_s, planned_deg)
-        if missed is None:
+        seen = state.observe(measured_deg, read_s, plan_deg(state, query.arrival_ns))
+        if seen is None:
             self.rejected[bus] += 1
             self.watch.note_sign(state, query.arrival_ns)
             return
-        if missed:
+        if seen.has_lost_move:
             self.to_resend[state.joint.name] = state
-        if state.joint.drive == "streamed" and abs(state.disturbance.model_error_deg) > BEHIND_DEG:
+        if state.joint.drive == "streamed" and abs(seen.model_error_deg) > BEHIND_DEG:
             self.watch.note_sign(state, query.arrival_ns)
-        self.health.position(state, query.arrival_ns)
-        joint_deg = state.joint.joint_deg
-        state.trace.add(read_s - state.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))
+        self.health.position(state.joint, seen, query.arrival_ns)
 
     def _note_timeout(self, bus: str, expired: PendingQuery, now_ns: int) -> None:
         state = self._by_address.get((bus, expired.command.servo_id))

@@ -11,7 +11,7 @@ from lss_motion.playing.player.health import (
     HealthMonitor,
     status_fault,
 )
-from lss_motion.playing.player.joint_state import make_joint_states
+from lss_motion.playing.player.joint_state import Observation, make_joint_states
 from lss_motion.protocol.constants import (
     PRO_STATUS_FIRMWARE,
     STATUS_CODES,
@@ -118,8 +118,8 @@ def test_a_joint_is_astray_after_a_twentieth_of_a_second_and_back_at_half_the_to
         (50, 6.0, False, True), (90, 6.0, False, True), (110, 7.5, True, False),
         (120, 4.0, True, False), (130, 2.4, False, False),
     ]:  # fmt: skip
-        state.disturbance.error_deg = state.disturbance.model_error_deg = error_deg
-        health.position(state, at_ms * S // 1000)
+        seen = Observation(has_lost_move=False, error_deg=error_deg, model_error_deg=error_deg)
+        health.position(state.joint, seen, at_ms * S // 1000)
         assert (("j0", Cause.ASTRAY) in health.active_faults) is is_astray, at_ms
         assert health.unconfirmed == ({"j0": "QD"} if is_asked_again else {}), at_ms
 
@@ -127,11 +127,10 @@ def test_a_joint_is_astray_after_a_twentieth_of_a_second_and_back_at_half_the_to
 def test_a_joint_that_is_where_its_moves_took_it_is_not_astray(state):
     """This program was late; its moves lead the joint back."""
     health = HealthMonitor()
-    state.disturbance.error_deg = 20.0
     for model_error_deg in (0.5, -4.9):
-        state.disturbance.model_error_deg = model_error_deg
+        seen = Observation(False, 20.0, model_error_deg)
         for at_ms in (0, 100, 200):
-            health.position(state, at_ms * S // 1000)
+            health.position(state.joint, seen, at_ms * S // 1000)
     assert (health.active_faults, health.unconfirmed) == ({}, {})
 
 

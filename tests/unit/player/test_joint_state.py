@@ -304,7 +304,8 @@ def horn_deg(state, at_s, lag_s=0.0):
 
 
 def read(state, at_s, measured_deg, planned_deg=0.0):
-    return state.take_position(measured_deg, at_s, planned_deg)
+    seen = state.observe(measured_deg, at_s, planned_deg)
+    return None if seen is None else seen.has_lost_move
 
 
 def go_to_and_fro(state, lag_s, moves=20, droop_deg=0.0):
@@ -395,7 +396,7 @@ def test_one_reading_uses_no_more_than_a_quarter_of_the_acceleration_in_em0(kit)
     most_deg = 0.25 * joint.filter_count * 1000 * 0.02**2
     for step in range(4):
         before_deg = state.disturbance.offset_deg
-        state.take_position(3.0, 1.0 + 0.1 * step, 0.0)
+        state.observe(3.0, 1.0 + 0.1 * step, 0.0)
         assert 0.0 <= before_deg - state.disturbance.offset_deg <= most_deg + 1e-9
     assert state.disturbance.offset_deg < -2.0 * most_deg, "it goes on if it is true"
 
