@@ -19,7 +19,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     added_show      what is played beside it, on other joints           phases
     repertoire      the programs of a run, and what they need           player
     session         the servos during one run, shared by all phases     phases
-    preflight       the dialogue before anything moves, asked twice     session, maintenance, cli
+    preflight       the dialogue before servos move, also once more     session, hands_on, cli
     checks          what the servos answered, compared with the files   session, preflight, cli
     handshake       settings, restore, recovery                         session, faults, maintenance
     transactions    lists of queries and orders on every bus            handshake, connection, cli
@@ -40,7 +40,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     query_tracker   queries in flight on one bus                        polling, transactions
     unasked         what arrives on a bus beyond its queries            session, monitor
     serial_line     one line: when it is free, what came in             all that send
-    settings_watch  servos that may have lost their settings        polling
+    settings_watch  servos that may have lost their settings            polling, hands_on, identify
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player
     cues            marks, cues, and waits for sensors                  session, streamer
