@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion.cli.messages import ended_by, put
+from lss_motion.cli.messages import agrees, ended_by, put
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError, PlaybackError
 from lss_motion.units import MS_PER_S
 
@@ -40,6 +40,10 @@ PASSED: Final = (
     "All joints moved as expected. If one turned to another side than listed, answer n, and\n"
     "correct its `direction` (lss-motion calibrate). The {what} at {rate:.0%} of its "
     "speed; + raises it."
+)
+BEGIN: Final = (
+    "Support the robot, keep clear of it, and watch that each joint turns as listed; q stops.\n"
+    "Begin?"
 )
 OFFER: Final = (
     "No show has been played to its end with this robot file on a real port. Press c for a\n"
@@ -147,7 +151,7 @@ def careful_run(
     options: dict[str, Any] = {"robot": robot, "clock": clock, "seed": arguments.seed}
     with connect(robot.buses, **options, faults=faults, deviation=deviation) as connection:
         moving = _announce(connection, robot, tested, print_line)
-        if moving and is_asked and not _is_agreed():
+        if moving and is_asked and not agrees(BEGIN, sys.stderr):
             put("no: nothing was moved", sys.stderr)
             return EXIT_INTERRUPTED
         with Terminal() as terminal:
@@ -217,16 +221,6 @@ def _standing_deg(joint: Joint, answers: Answers) -> float:
     standing_deg = handshake.reported(joint, answers, "QD")
     assert standing_deg is not None, "`examined` raises without it"
     return standing_deg
-
-
-def _is_agreed() -> bool:
-    put(
-        "Support the robot, keep clear of it, and watch that each joint turns as listed; q stops.\n"
-        "Begin? [y/N] ",
-        sys.stderr,
-        end="",
-    )
-    return sys.stdin.readline().strip().lower() in {"y", "yes"}
 
 
 def _run_joint(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command, require_baud, require_joint, robot_at
-from lss_motion.cli.messages import put
+from lss_motion.cli.messages import agrees, put
 from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -154,9 +154,8 @@ def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
         raise InputError(
             "there is no terminal to agree on; add --yes to write without the question"
         )
-    print(f"{question} [y/N] ", end="", flush=True)
     try:
-        return sys.stdin.readline().strip().lower() in {"y", "yes"}
+        return agrees(question)
     except KeyboardInterrupt:
         print("\nnothing was written")
         raise

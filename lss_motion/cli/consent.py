@@ -13,7 +13,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.messages import put
+from lss_motion.cli.messages import agrees, put
 from lss_motion.errors import InputError
 from lss_motion.files.output import state_directory, write_output
 from lss_motion.files.source import counted, read_data
@@ -56,8 +56,7 @@ def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:
     put(f"{path} runs Python on this computer, with all that you may do:", sys.stderr)
     for call in calls:
         put(f"  {call.text}", sys.stderr)
-    put("allow it, until a file of these changes? [y/N] ", sys.stderr, end="")
-    if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+    if not agrees("allow it, until a file of these changes?", sys.stderr):
         return False
     _keep(path, digest)
     return True

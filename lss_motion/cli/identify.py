@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
-from lss_motion.cli.messages import StepLine, ended_by
+from lss_motion.cli.messages import StepLine, agrees, ended_by
 from lss_motion.cli.options import add_options
 from lss_motion.errors import (
     EXIT_FINISHED,
@@ -63,6 +63,9 @@ did not move as it should; 130 interrupted.
 """
 
 
+BEGIN: Final = "Keep its range clear; nothing may touch it. Ctrl-C stops. Begin?"
+
+
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     added = add_command(commands, "identify", _identify, DESCRIPTION)
@@ -110,7 +113,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     clock = VirtualClock() if arguments.virtual else MonotonicClock()
     with connect(buses, robot=robot, clock=clock, seed=arguments.seed) as connection:
         _announce(connection, robot, joints, span_deg)
-        if not (simulated or arguments.yes or _is_agreed()):
+        if not (simulated or arguments.yes or agrees(BEGIN)):
             print("nothing was moved")
             return EXIT_INTERRUPTED
         with Terminal() as terminal:
@@ -249,15 +252,6 @@ def _announce(
             f"deg and will move between {low:.1f} and {high:.1f} deg for about {lasts_s:.0f} s, at "
             f"most at {joint.speed_max_deg_s:g} deg/s"
         )
-
-
-def _is_agreed() -> bool:
-    print(
-        "Keep its range clear; nothing may touch it. Ctrl-C stops. Begin? [y/N] ",
-        end="",
-        flush=True,
-    )
-    return sys.stdin.readline().strip().lower() in {"y", "yes"}
 
 
 def _measured(

@@ -95,6 +95,12 @@ def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
             )
 
 
+def agrees(question: str, stream: TextIO | None = None) -> bool:
+    """Ask a person; return whether the line that is typed says yes."""
+    put(f"{question} [y/N] ", stream, end="")
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+
+
 class StepLine:
     """The present step on standard error, where that is a terminal, in place of the one before."""
 

@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.cli.commands import add_command, robot_at
-from lss_motion.cli.messages import put
+from lss_motion.cli.messages import agrees, put
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 
@@ -212,8 +212,7 @@ def _is_agreed(arguments: argparse.Namespace, verdict: Verdict, *, is_simulated:
             "there is no terminal to agree on: nothing was sent. Run it in a terminal, or add "
             "--yes to send it without the question"
         )
-    put("send it? [y/N] ", sys.stderr, end="")
-    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+    return agrees("send it?", sys.stderr)
 
 
 def _robot(arguments: argparse.Namespace) -> Robot | None:
