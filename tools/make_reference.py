@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
-"""Write `lss_motion/REFERENCE.md`: every key of the files and every option of the commands.
+"""Write `lss_motion/REFERENCE.md` and `lss_motion/schema`: keys of the files, options of commands.
 
     tools/run tools/make_reference.py
 
-It is made from the models that read the files and from the parsers of the command line; a test
-says when it is no longer what this prints.
+They are made from the classes by which files are read and from the parsers of the command line; a
+test says when they are no longer what this makes.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
 
 PATH = Path(__file__).resolve().parent.parent / "lss_motion" / "REFERENCE.md"
 
+SCHEMAS = {
+    "robot": robot_schema,
+    "sequence": sequence_schema,
+    "gait": gait_schema,
+    "learnt": learnt_schema,
+    "stage": stage_schema,
+}
+"""By kind of file."""
+
 HEAD = """\
 # Reference
 
@@ -39,19 +49,24 @@ themselves understand; what a faults file and `--sim` hold stands under [sim](#l
 PLAIN = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true, false"}
 
 
+def schemas() -> dict[Path, str]:
+    """Return the text of each file of a schema."""
+    return {
+        PATH.parent / "schema" / f"{kind}.schema.json": json.dumps(
+            schema_of(), indent=2, ensure_ascii=False
+        )
+        + "\n"
+        for kind, schema_of in SCHEMAS.items()
+    }
+
+
 def reference() -> str:
     """Return the whole page."""
     parts = [HEAD]
     told: dict[str, str] = {}
-    for kind, schema in [
-        ("robot", robot_schema()),
-        ("sequence", sequence_schema()),
-        ("gait", gait_schema()),
-        ("learnt", learnt_schema()),
-        ("stage", stage_schema()),
-    ]:
+    for kind, schema_of in SCHEMAS.items():
         parts.append(f"## The {kind} file\n")
-        parts += file_sections(kind, schema, told)
+        parts += file_sections(kind, schema_of(), told)
     parts.append("## The commands\n")
     for parser in parsers():
         parts += command_section(parser)
@@ -226,5 +241,6 @@ def code(text: object) -> str:
 
 
 if __name__ == "__main__":
-    PATH.write_text(reference(), encoding="utf-8")
-    print(f"{PATH.name}: written")
+    for path, text in {PATH: reference(), **schemas()}.items():
+        path.write_text(text, encoding="utf-8")
+        print(f"{path.name}: written")

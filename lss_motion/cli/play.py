@@ -485,7 +485,7 @@ def _offset_lines(robot: Robot, sound: SoundChoice) -> list[str]:
     if robot.sound_offset_s or robot.path is None:
         return [f"the robot file states its own sound_offset_s; to change it: {by_hand}"]
     try:
-        learnt = load_learnt(robot).model_copy(update={"sound_offset_s": offset_s})
+        learnt = load_learnt(robot).changed(sound_offset_s=offset_s)
         save_learnt(learnt, robot)
     except InputError as error:
         return [f"warning: the offset of the sounds is not kept: {error}; give {by_hand}"]

@@ -1,78 +1,41 @@
-"""Checks file models with pydantic, and describes them as JSON Schema.
-
-How file models are checked and described: pydantic's findings in words for people.
-
-JSON Schemas of the file models: what editors complete and check with.
-
-Apart from `validation`, because a file without a fault needs none of this.
-"""
+"""Reads what a file holds by the classes of its keys; finds every problem, in words for people."""
 
 from __future__ import annotations
 
+import math
+import operator
 import re
-from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
-from unicodedata import category
+import types
+from functools import cache
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Final,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from msgspec.structs import fields
 
+from lss_motion.files.keys import Bounds, Check, FileModel, Plain
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pydantic_core import ErrorDetails
-    from pydantic_core.core_schema import DictSchema, NullableSchema
+    from collections.abc import Callable, Mapping
 
     from lss_motion.files.yaml_source import YamlSource
 
-
-TEXT_MAX_CHARS: Final = 64
-"""What still fits a column of a table on screen."""
+    Reader = Callable[[object, Location, list[Problem]], Any]
+    """Returns the value of what a file holds at a place, or adds the problems to the list."""
 
 SHOWN_MAX_CHARS: Final = 60
 """How much of a wrong value an error repeats."""
-
-NAME_PATTERN: Final = r"^[^\s,#\"']+$"
-"""Names stand in CSV headers and in the text form of programs, which blanks and commas divide."""
-
-_UNPRINTABLE: Final = frozenset({"Cc", "Cn", "Cs", "Zl", "Zp"})
-"""Unicode categories that a terminal or a YAML writer cannot show: controls, halves, separators."""
-
-
-class FileModel(BaseModel):
-    """Base of all file models: no unknown keys, no text for numbers, no NaN."""
-
-    model_config = ConfigDict(
-        strict=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        frozen=True,
-        field_title_generator=lambda key, _: key,
-    )
-
-
-def check_text(text: str) -> str:
-    """Return `text`; raise ValueError if a terminal could not show it."""
-    bad = next((char for char in text if category(char) in _UNPRINTABLE), None)
-    if bad is not None:
-        raise ValueError(f"holds the character U+{ord(bad):04X}, which cannot be shown")
-    return text
-
-
-def _check_name(name: str) -> str:
-    if not re.search(NAME_PATTERN, name):
-        raise ValueError("a name has no blanks, commas, quotes or #")
-    return check_text(name)
-
-
-Text = Annotated[str, Field(min_length=1, max_length=TEXT_MAX_CHARS), AfterValidator(check_text)]
-Name = Annotated[
-    str,
-    Field(min_length=1, max_length=TEXT_MAX_CHARS, json_schema_extra={"pattern": NAME_PATTERN}),
-    AfterValidator(_check_name),
-]
 
 Model = TypeVar("Model", bound=FileModel)
 
@@ -87,19 +50,14 @@ def validate(
     list stands there. The model is None when what is left is no whole file.
     """
     problems = list(source.problems)
-    try:
-        return model.model_validate(source.value), problems, frozenset()
-    except ValidationError as error:
-        found = error.errors(include_url=False)
-
-    schema = json_schema(model)
-    problems += [_problem(details, schema) for details in found]
-    left_out = frozenset(_location(details)[:2] for details in found)
-    try:
-        rest = model.model_validate(_without(source.value, left_out, blanks or {}))
-    except ValidationError:
-        return None, problems, left_out
-    return rest, problems, left_out
+    found: list[Problem] = []
+    made = _struct(model)(source.value, (), found)
+    if not found:
+        return made, problems, frozenset()
+    left_out = frozenset(problem.location[:2] for problem in found)
+    again: list[Problem] = []
+    rest = _struct(model)(_without(source.value, left_out, blanks or {}), (), again)
+    return None if again else rest, problems + found, left_out
 
 
 def _without(
@@ -124,72 +82,247 @@ def _without(
     return rest
 
 
-def _location(details: ErrorDetails) -> Location:
-    return tuple(part for part in details["loc"] if part != "[key]")
+@cache
+def _struct(model: type[FileModel]) -> Reader:
+    """Return what reads keys and values as an instance of `model`."""
+    hints = get_type_hints(model, include_extras=True)
+    own = [field for field in fields(model) if field.name != "given"]
+    readers = {
+        key: _reader(hints[key], key, (model.said[key],) if key in model.said else ())
+        for key in (field.name for field in own)
+    }
+    required = {field.name for field in own if field.required}
+
+    def read(value: object, place: Location, problems: list[Problem]) -> Any:  # noqa: ANN401
+        if isinstance(value, model):
+            return value
+        if not isinstance(value, dict):
+            keys = [key for key in readers if key in required] or list(readers)[:1]
+            shown = ", ".join(f"{key}: …" for key in keys)
+            problems.append(
+                _problem(place, value, f"must hold keys and values, such as {{{shown}}}")
+            )
+            return None
+        before, values = len(problems), {}
+        for key, reader in readers.items():
+            if key in value:
+                values[key] = reader(value[key], (*place, key), problems)
+            elif key in required:
+                problems.append(Problem((*place, key), f"{key!r} is missing"))
+        for key in value:
+            if key not in readers:
+                reason = f"unknown key {key!r}; {known_names(key, readers)}"
+                problems.append(Problem((*place, key), reason))
+        if len(problems) > before:
+            return None
+        return model(**values, given=frozenset(values))
+
+    return read
 
 
-def _problem(details: ErrorDetails, schema: Mapping[str, Any]) -> Problem:
-    location = _location(details)
-    if details["type"] == "extra_forbidden":
-        key = str(location[-1])
-        allowed = _schema_at(schema, location[:-1]).get("properties", {})
-        return Problem(location, f"unknown key {key!r}; {known_names(key, allowed)}")
-    if details["type"] == "missing":
-        return Problem(location, f"{location[-1]!r} is missing")
+def _reader(hint: Any, key: str, metas: tuple[Any, ...] = ()) -> Reader:  # noqa: ANN401
+    """Return what reads a value of a type; `metas` stand round it, the nearest first."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        plain = next((part for part in inside if isinstance(part, Plain)), None)
+        if plain is not None:
+            return _checked(lambda value, *_: value, [lambda value: plain.run(value, key)])
+        return _reader(inside[0], key, (*inside[1:], *metas))
+    if origin in (Union, types.UnionType):
+        return _union(inside, key, metas)
+    if isinstance(hint, type) and issubclass(hint, FileModel):
+        return _struct(hint)
+    if origin is Literal:
+        return _literal(inside)
+    rules = [rule for part in metas for rule in _rules(part, metas)]
+    if origin is list:
+        return _checked(_list(_reader(inside[0], key), _largest(metas)), rules)
+    if origin is dict:
+        return _checked(_dict(*(_reader(part, key) for part in inside)), rules)
+    return _checked(_SCALARS[hint], rules)
+
+
+def _largest(metas: tuple[Any, ...]) -> float:
+    found = (part.max_length for part in metas if isinstance(part, Bounds))
+    return next((count for count in found if count is not None), math.inf)
+
+
+def _checked(reader: Reader, rules: list[Callable[[Any], Any]]) -> Reader:
+    """Return a reader whose value must pass the rules, too."""
+
+    def read(value: object, place: Location, problems: list[Problem]) -> Any:  # noqa: ANN401
+        before = len(problems)
+        found = reader(value, place, problems)
+        if len(problems) > before:
+            return None
+        try:
+            for rule in rules:
+                found = rule(found)
+        except ValueError as error:
+            problems.append(_problem(place, value, str(error)))
+        return found
+
+    return read if rules else reader
+
+
+def _scalar(kind: type | tuple[type, ...], rule: str) -> Reader:
+    def read(value: object, place: Location, problems: list[Problem]) -> object:
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            problems.append(_problem(place, value, rule))
+        return value
+
+    return read
+
+
+def _float(value: object, place: Location, problems: list[Problem]) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        problems.append(_problem(place, value, "must be a number"))
+        return 0.0
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        problems.append(_problem(place, value, "must be a finite number"))
+    return number
+
+
+_SCALARS: Final[dict[Any, Reader]] = {
+    float: _float,
+    int: _scalar(int, "must be a whole number"),
+    bool: _scalar(bool, "must be true or false"),
+    str: _scalar(str, "must be text; put it in quotes if it is meant as text"),
+}
+
+
+def _literal(allowed: tuple[Any, ...]) -> Reader:
+    words = [word for word in allowed if isinstance(word, str)]
+
+    def read(value: object, place: Location, problems: list[Problem]) -> object:
+        if not any(value == one and type(value) is type(one) for one in allowed):
+            rule = f"is not allowed; {known_names(str(value), words)}"
+            problems.append(_problem(place, value, rule))
+        return value
+
+    return read
+
+
+def _list(item: Reader, most: float) -> Reader:
+    def read(value: object, place: Location, problems: list[Problem]) -> list[Any]:
+        if not isinstance(value, list):
+            problems.append(_problem(place, value, "must be a list, such as [1, 2]"))
+            return []
+        if len(value) > most:  # One problem, not one an item.
+            return value
+        return [item(part, (*place, index), problems) for index, part in enumerate(value)]
+
+    return read
+
+
+def _dict(name: Reader, item: Reader) -> Reader:
+    def read(value: object, place: Location, problems: list[Problem]) -> dict[Any, Any]:
+        if not isinstance(value, dict):
+            rule = "must hold keys and values, such as {name: value}"
+            problems.append(_problem(place, value, rule))
+            return {}
+        return {
+            name(key, (*place, key), problems): item(part, (*place, key), problems)
+            for key, part in value.items()
+        }
+
+    return read
+
+
+def _union(kinds: tuple[Any, ...], key: str, metas: tuple[Any, ...]) -> Reader:
+    """Return a reader that takes the kind to which a value belongs; the last one if to none."""
+    may_be_none = type(None) in kinds
+    readers = [
+        (_python_type(one), _reader(one, key, metas)) for one in kinds if one is not type(None)
+    ]
+
+    def read(value: object, place: Location, problems: list[Problem]) -> Any:  # noqa: ANN401
+        if value is None and may_be_none:
+            return None
+        near = [reader for kind, reader in readers if isinstance(value, kind)]
+        before = len(problems)
+        for reader in near or [readers[0][1]]:
+            del problems[before:]
+            found = reader(value, place, problems)
+            if len(problems) == before:
+                return found
+        return None
+
+    return readers[0][1] if len(readers) == 1 and not may_be_none else read
+
+
+def _python_type(hint: Any) -> type | tuple[type, ...]:  # noqa: ANN401
+    """Return what a value of a type is in Python."""
+    origin = get_origin(hint)
+    if origin is Annotated:
+        return _python_type(get_args(hint)[0])
+    if origin is Literal:
+        return tuple(type(one) for one in get_args(hint))
+    if origin is dict or (isinstance(hint, type) and issubclass(hint, FileModel)):
+        return dict
+    kind: type = origin or hint
+    return (int, float) if kind is float else kind
+
+
+def _rules(part: object, metas: tuple[Any, ...]) -> list[Callable[[Any], Any]]:
+    """Return the functions that check what one part of an `Annotated` says."""
+    if isinstance(part, Check):
+        return [part.run]
+    if not isinstance(part, Bounds):
+        return []
+    bounds = [(name, getattr(part, name)) for name in _BOUNDS if getattr(part, name) is not None]
+    rules = [_rule(*_BOUNDS[name], bound) for name, bound in bounds]
+    if part.pattern is not None:
+        rules.append(_rule(re.search, _written_as(metas), part.pattern))
+    return rules
+
+
+def _rule(
+    holds: Callable[[Any, Any], Any], text: Callable[[Any, Any], str], bound: object
+) -> Callable[[Any], Any]:
+    def check(value: Any) -> Any:  # noqa: ANN401
+        if not holds(bound, value):
+            raise ValueError(text(bound, value))
+        return value
+
+    return check
+
+
+def _too_few(least: int, value: object) -> str:
+    is_text = isinstance(value, str)
+    return "must not be empty" if is_text else f"must have {least} or more entries"
+
+
+def _too_many(most: int, value: object) -> str:
+    return f"must have {most} or fewer {'characters' if isinstance(value, str) else 'entries'}"
+
+
+def _written_as(metas: tuple[Any, ...]) -> Callable[[str, str], str]:
+    given = [part.examples for part in metas if isinstance(part, Bounds) and part.examples]
+    if given:
+        return lambda *_: f"must be written as in {given[0][0]!r}"
+    return lambda pattern, _: f"must match {pattern}"
+
+
+_BOUNDS: Final[dict[str, tuple[Callable[[Any, Any], Any], Callable[[Any, Any], str]]]] = {
+    "ge": (operator.le, lambda least, _: f"must be {least:g} or more"),
+    "gt": (operator.lt, lambda least, _: f"must be more than {least:g}"),
+    "le": (operator.ge, lambda most, _: f"must be {most:g} or less"),
+    "min_length": (lambda least, value: len(value) >= least, _too_few),
+    "max_length": (lambda most, value: len(value) <= most, _too_many),
+}
+"""Of each bound: whether it holds, given the bound and the value, and what is allowed, in words."""
+
+
+def _problem(location: Location, value: object, rule: str) -> Problem:
     place = ".".join(str(part) for part in location if isinstance(part, str))
     if location and isinstance(location[-1], int):
         place += f" item {location[-1] + 1}"
-    rule = _rule(details, _schema_at(schema, location))
-    return Problem(location, f"{place} ({_shown(details['input'])}): {rule}")
-
-
-def _schema_at(schema: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
-    """Return the part of the JSON Schema that describes what is at `location`."""
-    here: Mapping[str, Any] = schema
-    for part in location:
-        if isinstance(part, int):
-            here = here.get("items", {})
-        else:
-            here = here.get("properties", {}).get(part) or here.get("additionalProperties") or {}
-        if "$ref" in here:
-            here = schema["$defs"][here["$ref"].rpartition("/")[2]]
-    return here
-
-
-def _rule(details: ErrorDetails, part: Mapping[str, Any]) -> str:
-    """Return what is allowed, in words; `part` of the JSON Schema describes what is wrong."""
-    context = details.get("ctx", {})
-    match details["type"]:
-        case "literal_error":
-            words = re.findall(r"'([^']*)'", context["expected"])
-            return f"is not allowed; {known_names(str(details['input']), words)}"
-        case "string_pattern_mismatch" if "examples" in part:
-            return f"must be written as in {part['examples'][0]!r}"
-        case "model_type":
-            keys = part.get("required") or list(part.get("properties", {}))[:1]
-            return f"must hold keys and values, such as {{{', '.join(f'{k}: …' for k in keys)}}}"
-    rule = _RULES.get(details["type"])
-    return details["msg"] if rule is None else rule.format_map(context)
-
-
-_RULES: Final = {
-    "value_error": "{error}",
-    "greater_than_equal": "must be {ge:g} or more",
-    "greater_than": "must be more than {gt:g}",
-    "less_than_equal": "must be {le:g} or less",
-    "too_short": "must have {min_length} or more entries",
-    "too_long": "must have {max_length} or fewer entries",
-    "string_too_short": "must not be empty",
-    "string_too_long": "must have {max_length} or fewer characters",
-    "float_type": "must be a number",
-    "finite_number": "must be a finite number",
-    "int_type": "must be a whole number",
-    "string_type": "must be text; put it in quotes if it is meant as text",
-    "bool_type": "must be true or false",
-    "list_type": "must be a list, such as [1, 2]",
-    "dict_type": "must hold keys and values, such as {{name: value}}",
-}
-"""What is allowed, by pydantic's name of the error; its own words are for programmers."""
+    return Problem(location, f"{place} ({_shown(value)}): {rule}")
 
 
 def _shown(value: object) -> str:
@@ -205,31 +338,3 @@ def _shown(value: object) -> str:
         case _:
             shown = repr(value)
     return shown if len(shown) <= SHOWN_MAX_CHARS else shown[: SHOWN_MAX_CHARS - 3] + "..."
-
-
-def json_schema(model: type[FileModel]) -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) that editors complete and check with."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **model.model_json_schema(schema_generator=_FileSchema),
-    }
-
-
-class _FileSchema(GenerateJsonSchema):
-    """A key may be left out, but never be null; a name that breaks the rules is no free entry."""
-
-    def nullable_schema(self, schema: NullableSchema) -> JsonSchemaValue:
-        return self.generate_inner(schema["schema"])
-
-    def dict_schema(self, schema: DictSchema) -> JsonSchemaValue:
-        made = super().dict_schema(schema)
-        for pattern, entry in made.pop("patternProperties", {}).items():
-            made["additionalProperties"] = entry
-            made["propertyNames"] = {**made.get("propertyNames", {}), "pattern": pattern}
-        return made
-
-    def default_schema(self, schema: Any) -> JsonSchemaValue:  # noqa: ANN401  pydantic seam
-        made = super().default_schema(schema)
-        if "default" in made and made["default"] is None:
-            del made["default"]
-        return made

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from pydantic import AfterValidator, Field
 
 from lss_motion.errors import InputError
+from lss_motion.files.keys import Check, Field, FileModel, Name
 from lss_motion.files.source import known_names
-from lss_motion.files.validation import FileModel, Name, validate
+from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.interchange.reader import (
     DEG_PER_UNIT,
@@ -26,7 +26,7 @@ from lss_motion.interchange.reader import (
     Unit,
     summarised,
 )
-from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
+from lss_motion.robot.file import AngleDeg  # noqa: TC001  (read when it is checked)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -79,7 +79,7 @@ class MapEntry(FileModel, title="mapped joint"):
     unit: Literal["deg", "rad", "us", "m", "raw"] | None = Field(
         default=None, description="Unit of the values. Default: the unit of the file."
     )
-    sign: Annotated[int, AfterValidator(_check_sign)] = Field(
+    sign: Annotated[int, Check(_check_sign)] = Field(
         default=1, description="-1 if the joint of the robot turns the other way."
     )
     scale: float | None = Field(
@@ -94,7 +94,7 @@ class MapEntry(FileModel, title="mapped joint"):
 class MapFile(FileModel, title="map file"):
     """How the joints of a motion file become joints of a robot."""
 
-    joints: Annotated[dict[str, MapEntry], Field(min_length=1)]
+    joints: dict[str, MapEntry] = Field(min_length=1)
 
 
 class MotionMap(Struct, frozen=True):

@@ -9,7 +9,7 @@ opens the ports, and `cli` interacts with the person.
 | `discovery.py`      | which servos are on a bus, and their condition      | `cli`, `connection` |
 | `findings.py`       | problems and remedies of a scan, first robot file   | `cli.scan`          |
 | `settings.py`       | stored values: queries, differences, commands       | `cli.configure`     |
-| `backup.py`         | files of stored settings; imports pydantic          | `cli.configure`     |
+| `backup.py`         | files of stored settings                            | `cli.configure`     |
 | `limits.py`         | limits that a robot file leaves to its servos       | `cli`, `connection` |
 | `monitor.py`        | polls every servo, raises alarms                    | `cli.monitor`       |
 | `hands_on.py`       | joints moved by hand: limp, held, read continuously | `cli`               |

@@ -1,20 +1,19 @@
 """Backup files: every setting that servos store, so that it can be written back unchanged.
 
 The file holds wire values, so it does not depend on how a unit is interpreted; comments give the
-meaning of each value. This module imports pydantic, which is slow to load: import it only in a
-command that reads or writes a backup, inside the function that needs it.
+meaning of each value.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from msgspec import Struct, field
-from pydantic import Field
 
 from lss_motion.errors import InputError
+from lss_motion.files.keys import Field, FileModel, Name, Text
 from lss_motion.files.source import known_names
-from lss_motion.files.validation import FileModel, Name, Text, validate
+from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.maintenance.settings import value_text
 from lss_motion.playing.discovery import family_of
@@ -56,7 +55,7 @@ class BackupFile(FileModel, title="backup file"):
     """The settings of some servos."""
 
     backup: Literal[1] = Field(description="Form of the file.")
-    servos: Annotated[list[ServoEntry], Field(min_length=1)]
+    servos: list[ServoEntry] = Field(min_length=1)
 
 
 class ServoBackup(Struct, frozen=True, kw_only=True):

@@ -47,8 +47,6 @@ LIBRARIES: Final = (
     "clarabel",
     "msgspec",
     "numpy",
-    "pydantic",
-    "pydantic_core",
     "scipy",
     "toppra",
     "yaml",

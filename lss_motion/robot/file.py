@@ -1,7 +1,7 @@
 """The keys of a robot file, and of `on_fault` in sequence files: names, units, bounds of each key.
 
-`robot.load` checks what several keys mean together. Importing this module imports pydantic, so it
-is imported where a file is read. The descriptions are the reference of the file format.
+`robot.load` checks what several keys mean together. The descriptions are the reference of the file
+format.
 """
 
 from __future__ import annotations
@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, WithJsonSchema
-
+from lss_motion.files.keys import Check, Field, FileModel, Name, Plain, Text, check_text
 from lss_motion.files.source import known_names
-from lss_motion.files.validation import FileModel, Name, Text, check_text
 from lss_motion.protocol.lss_pro import (
     ACCEL_DEG_S2,
     OFFSET_DEG,
@@ -61,10 +59,10 @@ PORT_MAX_CHARS: Final = 256
 
 def _check_escalation(
     value: Any,  # noqa: ANN401  (YAML)
-    info: ValidationInfo,
+    key: str,
 ) -> tuple[FaultStep, ...]:
     words = value if isinstance(value, list) else [value]
-    if problem := escalation_problem(str(info.field_name), words):
+    if problem := escalation_problem(key, words):
         raise ValueError(problem)
     return tuple(map(FaultStep, words))
 
@@ -72,8 +70,7 @@ def _check_escalation(
 _WORD = {"enum": [step.value for step in FaultStep]}
 Escalation = Annotated[
     tuple[FaultStep, ...] | None,
-    PlainValidator(_check_escalation),
-    WithJsonSchema({"anyOf": [_WORD, {"type": "array", "items": _WORD, "minItems": 1}]}),
+    Plain(_check_escalation, {"anyOf": [_WORD, {"type": "array", "items": _WORD, "minItems": 1}]}),
 ]
 
 
@@ -130,7 +127,7 @@ class OnFaultEntry(JointOnFaultEntry, title="on_fault"):
 
 def escalations(entry: JointOnFaultEntry) -> Escalations:
     """Return the escalations of an entry by cause."""
-    return {Cause(key): value for key, value in entry if value is not None}
+    return {Cause(key): value for key, value in entry.known().items()}
 
 
 def _check_model(name: str) -> str:
@@ -145,8 +142,8 @@ def _check_direction(direction: int) -> int:
     return direction
 
 
-def _check_limit(least: float) -> Callable[[object], object]:
-    def check(limit: object) -> object:
+def _check_limit(least: float) -> Callable[[object, str], object]:
+    def check(limit: object, _key: str) -> object:
         if limit is None or limit == SERVO:
             return limit
         if (
@@ -170,16 +167,14 @@ def _check_baud(baud_bps: int) -> int:
     return baud_bps
 
 
-PortUrl = Annotated[str, Field(min_length=1, max_length=PORT_MAX_CHARS), AfterValidator(check_text)]
+PortUrl = Annotated[str, Field(min_length=1, max_length=PORT_MAX_CHARS), Check(check_text)]
 SpeedLimit = Annotated[
     float | str | None,
-    PlainValidator(_check_limit(SPEED_MIN_DEG_S)),
-    WithJsonSchema(_limit_schema(SPEED_MIN_DEG_S)),
+    Plain(_check_limit(SPEED_MIN_DEG_S), _limit_schema(SPEED_MIN_DEG_S)),
 ]
 AccelLimit = Annotated[
     float | str | None,
-    PlainValidator(_check_limit(ACCEL_MIN_DEG_S2)),
-    WithJsonSchema(_limit_schema(ACCEL_MIN_DEG_S2)),
+    Plain(_check_limit(ACCEL_MIN_DEG_S2), _limit_schema(ACCEL_MIN_DEG_S2)),
 ]
 PulseUs = Annotated[int, Field(ge=100, le=5000)]
 AngleDeg = Annotated[float, Field(ge=-ANGLE_MAX_DEG, le=ANGLE_MAX_DEG)]
@@ -193,7 +188,7 @@ class BusEntry(FileModel, title="bus"):
         description="Device name or pyserial URL; sim:// is the built-in simulated bus.",
         examples=["sim://", "/dev/ttyUSB0", "COM3"],
     )
-    baud_bps: Annotated[int, AfterValidator(_check_baud)] = Field(
+    baud_bps: Annotated[int, Check(_check_baud)] = Field(
         default=115200,
         description="What the servos are set to. 750000 and 921600 need firmware 369 or later.",
         json_schema_extra={"enum": list(BAUD_FIRMWARE_MIN)},
@@ -249,7 +244,7 @@ class JointDefaults(FileModel, title="joint defaults"):
     bus: Name | None = Field(
         default=None, description="Name of the bus; may be left out where there is only one."
     )
-    model: Annotated[str, AfterValidator(_check_model)] | None = Field(
+    model: Annotated[str, Check(_check_model)] | None = Field(
         default=None, description="Servo model.", json_schema_extra={"enum": list(SERVO_MODELS)}
     )
     range_deg: Annotated[list[AngleDeg], Field(min_length=2, max_length=2)] | None = Field(
@@ -278,7 +273,7 @@ class JointDefaults(FileModel, title="joint defaults"):
         "is steered while it walks.",
         examples=[6000],
     )
-    direction: Annotated[int, AfterValidator(_check_direction)] | None = Field(
+    direction: Annotated[int, Check(_check_direction)] | None = Field(
         default=None,
         description="-1 where the servo turns the other way: "
         "servo angle = zero_deg + direction * joint angle. Default 1.",
@@ -402,7 +397,7 @@ def _check_wire_unit(unit: float) -> float:
     return unit
 
 
-WireUnit = Annotated[float, AfterValidator(_check_wire_unit)]
+WireUnit = Annotated[float, Check(_check_wire_unit)]
 _WIRE_UNITS: Final[dict[str, Any]] = {"enum": list(WIRE_UNITS)}
 
 
@@ -461,7 +456,7 @@ DIRECTION_MAX: Final = 1e6
 """Chosen: far more than the length of a direction that is meant in mm."""
 
 
-def _check_direction_of(value: object) -> object:
+def _check_direction_of(value: object, _key: str) -> object:
     if isinstance(value, str) and value in DIRECTIONS:
         return value
     if (
@@ -478,14 +473,14 @@ def _check_direction_of(value: object) -> object:
 
 Direction = Annotated[
     str | list[float] | None,
-    PlainValidator(_check_direction_of),
-    WithJsonSchema(
+    Plain(
+        _check_direction_of,
         {
             "anyOf": [
                 {"enum": list(DIRECTIONS)},
                 {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
             ]
-        }
+        },
     ),
 ]
 FIGURE_MAX_MM: Final = 100_000.0

@@ -18,10 +18,10 @@ import json
 import re
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import AfterValidator, Field
-
+from lss_motion.files.json_schema import json_schema
+from lss_motion.files.keys import Check, Field, FileModel, Name, Text
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
-from lss_motion.files.validation import FileModel, Name, Text, json_schema, validate
+from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.model import learnt_path
 
@@ -65,17 +65,15 @@ def _check_hash(text: str) -> str:
     return text
 
 
-Day = Annotated[Text, AfterValidator(_check_day)]
+Day = Annotated[Text, Check(_check_day)]
 
 
 class LearntJoint(FileModel):
     """What was learnt about one joint."""
 
-    settings: Annotated[
-        Text,
-        AfterValidator(_check_hash),
-        Field(description="hash of what the robot file says of the joint"),
-    ]
+    settings: Annotated[Text, Check(_check_hash)] = Field(
+        description="hash of what the robot file says of the joint"
+    )
     careful_run: Day | None = Field(
         default=None, description="day of the last careful run without fault"
     )
@@ -119,13 +117,13 @@ class Learnt(FileModel):
 
     def updated(self, joint: Joint, **values: object) -> Learnt:
         """Return this with values of one joint, in place of those that it had."""
-        changed = self.of(joint).model_copy(update=values)
-        return self.model_copy(update={"joints": {**self.joints, joint.name: changed}})
+        changed = self.of(joint).changed(**values)
+        return self.changed(joints={**self.joints, joint.name: changed})
 
     def without(self, joint: Joint) -> Learnt:
         """Return this without what was learnt about a joint."""
         rest = {name: kept for name, kept in self.joints.items() if name != joint.name}
-        return self.model_copy(update={"joints": rest})
+        return self.changed(joints=rest)
 
     def has_completed(self, joints: Iterable[Joint]) -> bool:
         """Return whether each joint, with its present settings, has been in a completed show."""
@@ -187,7 +185,7 @@ def learnt_text(learnt: Learnt, robot_name: str) -> str:
     lines.append("joints:")
     for name, joint in learnt.joints.items():
         lines.append(f"  {_scalar(name)}:")
-        values = joint.model_dump(exclude_none=True)
+        values = joint.known()
         lines += [f"    {key}: {_scalar(value)}" for key, value in values.items()]
     if not learnt.joints:
         lines[-1] += " {}"
@@ -215,7 +213,7 @@ def save_learnt(learnt: Learnt, robot: Robot) -> Path:
         [Output(path, Kind.LEARNT)], sources=[robot.path], remedy="move it to another place"
     )
     kept = {name: joint for name, joint in learnt.joints.items() if name in robot.joints}
-    text = learnt_text(learnt.model_copy(update={"joints": kept}), robot.path.name)
+    text = learnt_text(learnt.changed(joints=kept), robot.path.name)
     write_output(path, text)
     return path
 

@@ -123,7 +123,7 @@ def load_named_robot(source: YamlSource, name: str | None) -> Robot:
 
 def robot_schema() -> dict[str, Any]:
     """Return the JSON Schema of a robot file."""
-    from lss_motion.files.validation import json_schema
+    from lss_motion.files.json_schema import json_schema
     from lss_motion.robot.file import RobotFile
 
     return json_schema(RobotFile)
@@ -143,12 +143,12 @@ class _Merged:
 def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
     merged = _Merged({}, {})
     for owner, location in ((defaults, ("defaults",)), (entry, ("joints", name))):
-        for key in owner.model_fields_set:
+        for key in owner.given:
             value = getattr(owner, key)
             if value is None:  # A key without a value; validation has reported it.
                 continue
             if key == "response":
-                value = merged.fields.get(key, {}) | value.model_dump(exclude_none=True)
+                value = merged.fields.get(key, {}) | value.known()
             elif key in {"settings", "stored"}:
                 value = merged.fields.get(key, {}) | value
                 merged.places |= {f"{key}.{k}": (*location, key, k) for k in getattr(owner, key)}
@@ -171,7 +171,7 @@ class _Loader:
 
     @property
     def _units(self) -> Units:
-        return Units(**self.content.units.model_dump(exclude_none=True))
+        return Units(**self.content.units.known())
 
     def robot(self, path: Path) -> Robot:
         """Return the robot; it can be used only if there are no `problems`."""
@@ -367,7 +367,7 @@ class _Loader:
     def _check_units(self, joints: Mapping[str, Joint]) -> None:
         """Refuse units that no servo has: the owner expects them to change something."""
         families = {joint.model.family for joint in joints.values()}
-        if joints and self.content.units.model_fields_set and Family.LSS_PRO not in families:
+        if joints and self.content.units.given and Family.LSS_PRO not in families:
             reason = (
                 "units are those of LSS-PRO servos, and no joint is one (model LSS-P-…); those of "
                 "the other servos are fixed. Remove `units`"
@@ -614,7 +614,7 @@ def figure_problems(
         if entry.joint is not None and entry.axis is None:
             reason = f"link {name!r} has a joint and no 'axis', about which that turns it: y, …"
             yield Problem((*place, "axis"), reason)
-        if entry.joint is None and (given := {"axis", "rest_deg"} & entry.model_fields_set):
+        if entry.joint is None and (given := {"axis", "rest_deg"} & entry.given):
             key = min(given)
             reason = f"link {name!r} has no 'joint', so {key!r} has no meaning; remove it"
             yield Problem((*place, key), reason)

@@ -51,7 +51,7 @@ def on_beats(content: SequenceFile) -> tuple[SequenceFile, list[Problem]]:
         name: resolver.resolved(track, ("tracks", name)) for name, track in content.tracks.items()
     }
     own = resolver.resolved(content, ())
-    return own.model_copy(update={"tracks": tracks}), [*problems, *resolver.problems]
+    return own.changed(tracks=tracks), [*problems, *resolver.problems]
 
 
 Track = TypeVar("Track", bound="TrackEntry")
@@ -76,7 +76,7 @@ class _Resolver:
                     self.problems.append(Problem(at, reason))
                 found = self._timed(entry)
             frames.append(found)
-        return track.model_copy(update={"keyframes": frames})
+        return track.changed(keyframes=frames)
 
     def _problem(self, track: TrackEntry, entry: KeyframeEntry) -> str:
         beat = entry.at_beat or 0.0
@@ -98,6 +98,6 @@ class _Resolver:
         update: dict[str, object] = {"at_beat": None}
         if entry.at_s is None and entry.after_s is None:
             update["at_s"] = beat_time(self._beats_s, entry.at_beat or 0.0)
-        if self._is_anchored and "anchor" not in entry.model_fields_set:
+        if self._is_anchored and "anchor" not in entry.given:
             update["anchor"] = True
-        return entry.model_copy(update=update)
+        return entry.changed(**update)

@@ -1,16 +1,14 @@
 """The keys of a sequence file: names, units, and bounds of each key alone.
 
-`show.load` checks what several keys mean together. Importing this module imports pydantic,
-so it is imported where a file is read. The descriptions are the reference of the file format.
+`show.load` checks what several keys mean together. The descriptions are the
+reference of the file format.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import ConfigDict, Field, PlainValidator, WithJsonSchema
-
-from lss_motion.files.validation import FileModel, Name, Text
+from lss_motion.files.keys import Field, FileModel, Name, Plain, Text
 from lss_motion.robot.file import AngleDeg, OnFaultEntry
 from lss_motion.show.model import KEYFRAMES_MAX, PLAY_STEPS_MAX, TIME_MAX_S
 
@@ -63,7 +61,7 @@ KEEP: Final = (
 )
 
 
-def _check_loop(loop: Any) -> int | Literal["forever"]:  # noqa: ANN401  whatever YAML holds
+def _check_loop(loop: Any, _key: str) -> int | Literal["forever"]:  # noqa: ANN401  whatever YAML holds
     match loop:
         case "forever":
             return "forever"
@@ -78,9 +76,9 @@ Reading = Annotated[float, Field(ge=0.0, le=5000.0)]
 
 Loop = Annotated[
     int | Literal["forever"],
-    PlainValidator(_check_loop),
-    WithJsonSchema(
-        {"anyOf": [{"type": "integer", "minimum": 1, "maximum": LOOP_MAX}, {"const": FOREVER}]}
+    Plain(
+        _check_loop,
+        {"anyOf": [{"type": "integer", "minimum": 1, "maximum": LOOP_MAX}, {"const": FOREVER}]},
     ),
 ]
 
@@ -153,7 +151,7 @@ class KeyframeEntry(FileModel, title="keyframe"):
 class TrackEntry(FileModel, title="track"):
     """Joints that are planned together: keyframes in order of time, played once or in a loop."""
 
-    model_config = ConfigDict(json_schema_extra={"required": ["keyframes"]})
+    more_schema: ClassVar = {"required": ["keyframes"]}
 
     timing: Literal["authored", "fastest", "fit"] | None = Field(
         default=None,
@@ -347,11 +345,9 @@ class BeatsEntry(FileModel, title="beats"):
 class SequenceFile(TrackEntry, title="sequence file"):
     """A show for one robot: keyframes, tracks beside them, or a play list; layers on top."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "anyOf": [{"required": [key]} for key in ("keyframes", "tracks", "play")]
-        }
-    )
+    more_schema: ClassVar = {
+        "anyOf": [{"required": [key]} for key in ("keyframes", "tracks", "play")]
+    }
 
     sequence: Text = Field(description="Name of the sequence, as shown on screen and in reports.")
     robot: FileName | None = Field(

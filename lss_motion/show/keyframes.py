@@ -241,7 +241,7 @@ class TrackLoader:
             self._note(("keep",), without_times)
         for index, (entry, frame) in enumerate(zip(self.content.keyframes, keyframes, strict=True)):
             for key in ("exact", "weight"):
-                is_given = key in entry.model_fields_set and frame.deg
+                is_given = key in entry.given and frame.deg
                 if is_given and not (kept | marked) & {*frame.deg}:
                     self._note(
                         ("keyframes", index, key),

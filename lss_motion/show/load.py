@@ -61,7 +61,7 @@ def load_sequence(
 
 def sequence_schema() -> dict[str, Any]:
     """Return the JSON Schema of a sequence file."""
-    from lss_motion.files.validation import json_schema
+    from lss_motion.files.json_schema import json_schema
     from lss_motion.show.file import SequenceFile
 
     return json_schema(SequenceFile)

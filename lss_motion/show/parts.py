@@ -171,7 +171,7 @@ class PartLoader:
         self.problems.append(Problem(location, reason))
 
     def _step(self, entry: StepEntry, place: Location) -> Step | None:
-        given = entry.model_fields_set
+        given = entry.given
         kinds = [kind for kind in ("file", "pause_s", "wait_for") if kind in given]
         if len(kinds) != 1:
             self._note(place, "a step is a 'file', a 'pause_s' or a 'wait_for'")
@@ -230,7 +230,7 @@ class PartLoader:
             reason = f"robot {self.robot.name!r} has no sensor {entry.sensor!r}; {known}"
             self._note((*place, "sensor"), reason)
             return None
-        keys = list(entry.model_fields_set - {"sensor"})
+        keys = list(entry.given - {"sensor"})
         allowed = (f"below_{sensor.unit}", f"above_{sensor.unit}")
         if len(keys) != 1 or keys[0] not in allowed:
             reason = (

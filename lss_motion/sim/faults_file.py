@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field
-
 from lss_motion.errors import ProtocolError
+from lss_motion.files.keys import Field, FileModel
 from lss_motion.files.source import known_names
-from lss_motion.files.validation import FileModel, validate
+from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.protocol.codec import language_table, stored_wire
 from lss_motion.protocol.constants import Family
@@ -131,7 +130,7 @@ class FaultEntry(FileModel, title="fault"):
 class FaultsFile(FileModel, title="faults file"):
     """What goes wrong on the simulated buses."""
 
-    faults: list[FaultEntry]
+    faults: list[FaultEntry] = Field()
 
 
 def load_faults(path: Path | str, robot: Robot | None = None) -> tuple[Fault, ...]:
@@ -159,7 +158,7 @@ def _problems(index: int, entry: FaultEntry) -> list[Problem]:
         known = known_names(entry.kind, map(str, FaultKind))
         return [Problem((*place, "kind"), f"kind {entry.kind!r} is not known; {known}")]
     kind = FaultKind(entry.kind)
-    given = entry.model_fields_set
+    given = entry.given
     problems = [
         Problem(place, f"{kind} needs {key!r}") for key in NEEDED.get(kind, ()) if key not in given
     ]
@@ -258,7 +257,7 @@ def _wire(name: str, value: float, language: Family | Language) -> int:
 
 
 def _fault(entry: FaultEntry, robot: Robot | None) -> Fault:
-    values = entry.model_dump(exclude_none=True)
+    values = entry.known()
     values["kind"] = FaultKind(values.pop("kind"))
     if "servo" in values:
         values["servo_id"] = values.pop("servo")

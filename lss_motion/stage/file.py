@@ -1,16 +1,14 @@
 """The keys of a stage file: names, units, and bounds of each key alone.
 
-`stage.load` checks what several keys mean together. Importing this module imports pydantic,
-so it is imported where a file is read. The descriptions are the reference of the file format.
+`stage.load` checks what several keys mean together. The descriptions are the
+reference of the file format.
 """
 
 from __future__ import annotations
 
 from typing import Annotated, Final, Literal
 
-from pydantic import AfterValidator, Field
-
-from lss_motion.files.validation import FileModel, Name, Text, check_text
+from lss_motion.files.keys import Check, Field, FileModel, Name, Text, check_text
 from lss_motion.show.file import FileName, Reading
 from lss_motion.stage.model import Choice, Deed, StartMode
 
@@ -27,9 +25,9 @@ RETRIES_MAX: Final = 20
 """Chosen: more attempts after a fault are a loop of falls."""
 
 SpanS = Annotated[float, Field(ge=0.0, le=SPAN_MAX_S)]
-Line = Annotated[str, Field(min_length=1, max_length=256), AfterValidator(check_text)]
+Line = Annotated[str, Field(min_length=1, max_length=256), Check(check_text)]
 Address = Annotated[
-    str, Field(min_length=1, max_length=256, pattern=r"^/[^\s#*,?\[\]{}]*$"), AfterValidator(str)
+    str, Field(min_length=1, max_length=256, pattern=r"^/[^\s#*,?\[\]{}]*$"), Check(str)
 ]
 Fps = Annotated[float, Field(ge=23.9, le=60.0)]
 Timecode = Annotated[str, Field(pattern=r"^\d{2}:\d{2}:\d{2}[:;]\d{2}$")]
@@ -50,8 +48,8 @@ class OnEntry(FileModel, title="trigger"):
     above_mm: Reading | None = Field(default=None, description="Of a sensor.")
     below_raw: Reading | None = Field(default=None, description="Of a sensor of kind raw.")
     above_raw: Reading | None = Field(default=None, description="Of a sensor of kind raw.")
-    key: Annotated[str, Field(min_length=1, max_length=1), AfterValidator(check_text)] | None = (
-        Field(default=None, description="A key of the terminal in which the stage runs.")
+    key: Annotated[str, Field(min_length=1, max_length=1), Check(check_text)] | None = Field(
+        default=None, description="A key of the terminal in which the stage runs."
     )
     osc: Address | None = Field(
         default=None,

@@ -117,7 +117,7 @@ def load_stage(path: Path | str) -> Stage:
 
 def stage_schema() -> dict[str, Any]:
     """Return the JSON Schema of a stage file."""
-    from lss_motion.files.validation import json_schema
+    from lss_motion.files.json_schema import json_schema
     from lss_motion.stage.file import StageFile
 
     return json_schema(StageFile)
@@ -302,7 +302,7 @@ class _Loader:
         if not (shows or entry.do or entry.enable or entry.disable):
             self._note(place, "does nothing: give 'play', 'do', 'enable' or 'disable'")
         for key in ("start", "choose", "cooldown_s"):
-            if key in entry.model_fields_set and not shows:
+            if key in entry.given and not shows:
                 self._note((*place, key), f"{key} belongs to play")
         follows = self._follows(entry, place, trigger)
         for key in ("enable", "disable"):
@@ -333,7 +333,7 @@ class _Loader:
         if entry.start == "add" and self.content.figures:
             text = "figures play one show together: add does not go with them; queue, or interrupt"
             self._note((*place, "start"), text)
-        if "follow" in entry.model_fields_set and trigger.kind is not Kind.TIMECODE:
+        if "follow" in entry.given and trigger.kind is not Kind.TIMECODE:
             self._note((*place, "follow"), "follow belongs to a trigger of timecode")
         follows = entry.follow and trigger.kind is Kind.TIMECODE
         can_wait = follows and isinstance(entry.play, str) and entry.start != "add"
@@ -343,7 +343,7 @@ class _Loader:
         return follows
 
     def _trigger(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
-        given = entry.model_fields_set
+        given = entry.given
         kinds = [kind for kind in Kind if kind in given]
         if len(kinds) != 1:
             known = ", ".join(kind for kind in Kind if kind is not Kind.CUE)
@@ -403,7 +403,7 @@ class _Loader:
             reason = f"robot {robot.name!r} has no sensor {entry.sensor!r}; {known}"
             self._note((*place, "sensor"), reason)
             return plain
-        keys = [key for key in OWN_KEYS[Kind.SENSOR] if key in entry.model_fields_set]
+        keys = [key for key in OWN_KEYS[Kind.SENSOR] if key in entry.given]
         allowed = (f"below_{sensor.unit}", f"above_{sensor.unit}")
         if len(keys) != 1 or keys[0] not in allowed:
             reason = f"a sensor of kind {sensor.kind} needs one of {allowed[0]} and {allowed[1]}"
@@ -452,7 +452,7 @@ class _Loader:
         from lss_motion.stage.stage_timecode import spec_of
 
         timecode = (
-            None if entry.timecode is None else TimecodeInput(**dict(entry.timecode), line=line)
+            None if entry.timecode is None else TimecodeInput(**entry.timecode.known(), line=line)
         )
         if timecode is not None:
             try:
@@ -460,7 +460,7 @@ class _Loader:
             except InputError as error:
                 self._note(("sync", "timecode", "input"), error.reason)
         send = tuple(
-            SendOutput(**dict(output), line=self.source.line(("sync", "send", index)))
+            SendOutput(**output.known(), line=self.source.line(("sync", "send", index)))
             for index, output in enumerate(entry.send)
         )
         if send and self.content.figures:
@@ -509,7 +509,7 @@ class _Loader:
         place = "duty"
         self._show(entry.rest, (place, "rest"))
         for key in ("limp", "temperature_c", "current_a"):
-            if self.content.figures and key in entry.model_fields_set:
+            if self.content.figures and key in entry.given:
                 text = (
                     f"{key} belongs to one robot: with figures, each has on_fault in its robot file"
                 )

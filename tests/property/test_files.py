@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.validation import NAME_PATTERN
+from lss_motion.files.keys import NAME_PATTERN
 from lss_motion.interchange import read_motion
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.robot.load import load_robot

@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from make_reference import PATH, parsers, reference
+from make_reference import PATH, parsers, reference, schemas
 
 import lss_motion
 from lss_motion.cli import main, play
@@ -39,6 +39,13 @@ def test_every_python_example_of_the_guides_runs(block, monkeypatch, capsys):
 
 def test_the_reference_is_what_the_code_says():
     assert PATH.read_text(encoding="utf-8") == reference(), "run tools/make_reference.py"
+
+
+def test_the_schemas_are_what_the_code_says():
+    made = schemas()
+    assert set(made) == set((ROOT / "lss_motion" / "schema").iterdir())
+    for path, text in made.items():
+        assert path.read_text(encoding="utf-8") == text, "run tools/make_reference.py"
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.parent.name)

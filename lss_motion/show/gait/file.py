@@ -1,18 +1,16 @@
 """The keys of a gait file: names, units, and bounds of each key alone.
 
-`show.gait.load` checks what several keys mean together. Importing this module imports pydantic, so
-it is imported where a file is read. The descriptions are the reference of the file format.
+`show.gait.load` checks what several keys mean together. The descriptions are the
+reference of the file format.
 """
 
 from __future__ import annotations
 
 from typing import Annotated, Final, Literal
 
-from pydantic import AfterValidator, Field
-
-from lss_motion.files.validation import FileModel, Name, Text
-from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
-from lss_motion.show.file import Loop, TimeS  # noqa: TC001  (pydantic reads them)
+from lss_motion.files.keys import Check, Field, FileModel, Name, Text
+from lss_motion.robot.file import AngleDeg  # noqa: TC001  (read when it is checked)
+from lss_motion.show.file import Loop, TimeS  # noqa: TC001  (read when they are checked)
 from lss_motion.show.gait.model import PATTERNS, LegKind
 from lss_motion.show.model import TIME_MAX_S
 
@@ -71,8 +69,7 @@ class LegDefaults(FileModel, title="leg defaults"):
         "hanging down; positive are a turn to the left or outwards, a lift or a swing forward.",
     )
     direction: (
-        Annotated[list[int], Field(min_length=3, max_length=3), AfterValidator(_check_direction)]
-        | None
+        Annotated[list[int], Field(min_length=3, max_length=3), Check(_check_direction)] | None
     ) = Field(
         default=None,
         description="-1 where the joint counts the other way: "

@@ -79,7 +79,7 @@ def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:
 
 def gait_schema() -> dict[str, Any]:
     """Return the JSON Schema of a gait file."""
-    from lss_motion.files.validation import json_schema
+    from lss_motion.files.json_schema import json_schema
     from lss_motion.show.gait.file import GaitFile
 
     return json_schema(GaitFile)
@@ -168,7 +168,7 @@ class _Loader:
             self.problems += problems
             return legs
         for key in ("legs", "leg"):
-            if key in content.model_fields_set:
+            if key in content.given:
                 self._note((key,), f"{key!r} and 'legs_from' exclude each other; keep one")
         path = self.source.path.parent / named
         if not path.is_file():
@@ -249,12 +249,12 @@ class _Loader:
         cycle_s = self.content.cycle_s
         ahead_mm_s = entry.forward_mm_s
         if entry.stride_mm is not None:
-            if "forward_mm_s" in entry.model_fields_set:
+            if "forward_mm_s" in entry.given:
                 reason = "'stride_mm' and 'forward_mm_s' exclude each other; keep one"
                 self._note((*location, "stride_mm"), reason)
             ahead_mm_s = entry.stride_mm / cycle_s
         lengths = ("for_s", "distance_mm", "cycles")
-        given = [key for key in lengths if key in entry.model_fields_set]
+        given = [key for key in lengths if key in entry.given]
         if len(given) != 1:
             reason = f"a walk has one of {', '.join(lengths)}; this has {' and '.join(given) or 0}"
             self._note(location, reason)
@@ -331,7 +331,7 @@ def legs_of(content: GaitFile, robot: Robot) -> tuple[tuple[Leg, ...], list[Prob
         fields = {
             key: value
             for owner in (content.leg, entry)
-            for key in owner.model_fields_set
+            for key in owner.given
             if (value := getattr(owner, key)) is not None
         }
         found = [*_leg_problems(name, fields), *_joint_problems(name, entry, robot, owners)]

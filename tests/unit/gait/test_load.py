@@ -64,10 +64,8 @@ def test_every_example_names_its_schema_fulfils_it_and_loads(kit, name):
     assert load_gait(path).path == path
 
 
-def test_the_shipped_schema_is_the_one_that_the_code_makes_and_explains_itself(kit):
+def test_the_schema_is_valid_and_knows_the_actions():
     schema = gait_schema()
-    shipped = kit.examples.parent / "lss_motion" / "schema" / "gait.schema.json"
-    assert json.loads(shipped.read_text(encoding="utf-8")) == schema
     jsonschema.Draft202012Validator.check_schema(schema)
     assert "null" not in json.dumps(schema)
     assert not jsonschema.Draft202012Validator(schema).is_valid({"gait": "x", "do": [{"hop": {}}]})

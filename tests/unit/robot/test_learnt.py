@@ -54,7 +54,7 @@ def test_what_is_saved_is_loaded_and_any_yaml_reader_understands_it(robot, tmp_p
     assert path == learnt_path(robot.path) == tmp_path / "robot.learnt.yaml"
     loaded = load_learnt(robot)
     assert loaded.of(robot.joints["pan"]).lag_s == 0.02135
-    assert loaded.of(robot.joints["no"]) == learnt.of(robot.joints["no"])
+    assert loaded.of(robot.joints["no"]).known() == learnt.of(robot.joints["no"]).known()
     text = path.read_text()
     assert text.startswith(FIRST_LINE + "\n")
     read = yaml.load(text, Loader=yaml.BaseLoader)

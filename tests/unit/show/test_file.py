@@ -45,13 +45,6 @@ def is_valid(content: object, schema: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)
-def test_the_shipped_schema_is_the_one_that_the_code_makes(kind: str) -> None:
-    made = json.dumps(SCHEMAS[kind](), indent=2, ensure_ascii=False) + "\n"
-    shipped = EXAMPLES.parent / "lss_motion" / "schema" / f"{kind}.schema.json"
-    assert shipped.read_text(encoding="utf-8") == made, f"write robot or sequence schema: {shipped}"
-
-
-@pytest.mark.parametrize("kind", SCHEMAS)
 def test_a_schema_is_valid_and_describes_every_key(kind: str) -> None:
     schema = SCHEMAS[kind]()
     jsonschema.Draft202012Validator.check_schema(schema)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 from datetime import time
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -16,8 +14,6 @@ from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import is_stage_file, time_of_day
 from lss_motion.stage.load import load_stage, stage_schema, timecode_s
 from lss_motion.stage.model import Budget, Kind
-
-SCHEMA = Path(__file__).resolve().parents[3] / "lss_motion" / "schema" / "stage.schema.json"
 
 WHOLE = """\
 cues:
@@ -169,8 +165,7 @@ def test_a_timecode_is_a_time(text, rate_fps, expected):
     assert timecode_s(text, rate_fps) == (None if expected is None else pytest.approx(expected))
 
 
-def test_the_shipped_schema_is_that_of_the_code_and_accepts_a_stage(kit):
-    assert json.loads(SCHEMA.read_text("utf-8")) == stage_schema()
+def test_the_schema_accepts_a_stage(kit):
     jsonschema.validate(read_yaml(kit.write(WHOLE)).value, stage_schema())
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({"stage": "x", "shows": {"a": "b"}, "ides": 3}, stage_schema())

@@ -1,0 +1,130 @@
+"""The classes of keys: what a file may hold, as fields with types, bounds and descriptions.
+
+`files.validation` reads a file by them, `files.json_schema` describes them for editors.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable  # noqa: TC003  (read when a file is checked)
+from typing import Annotated, Any, ClassVar, Final, Self, dataclass_transform
+from unicodedata import category
+
+import msgspec
+from msgspec import UNSET, Struct, StructMeta
+from msgspec.structs import replace
+
+TEXT_MAX_CHARS: Final = 64
+"""What still fits a column of a table on screen."""
+
+NAME_PATTERN: Final = r"^[^\s,#\"']+$"
+"""Names stand in CSV headers and in the text form of programs, which blanks and commas divide."""
+
+_UNPRINTABLE: Final = frozenset({"Cc", "Cn", "Cs", "Zl", "Zp"})
+"""Unicode categories that a terminal or a YAML writer cannot show: controls, halves, separators."""
+
+
+class Bounds(Struct, frozen=True, eq=False, kw_only=True):
+    """What a type or a key says of its values: bounds, and the words of the reference."""
+
+    ge: float | None = None
+    gt: float | None = None
+    le: float | None = None
+    min_length: int | None = None
+    max_length: int | None = None
+    pattern: str | None = None
+    description: str | None = None
+    examples: list[Any] | None = None
+    json_schema_extra: dict[str, Any] | None = None
+    default: Any = UNSET
+    default_factory: Any = UNSET
+
+
+def Field(**said: Any) -> Any:  # noqa: ANN401, N802  (the default of a key of any type)
+    """Return what a type or a key says of its values, as `Bounds` names it."""
+    return Bounds(**said)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(Field,))
+class KeysMeta(StructMeta):
+    """Makes the class of keys: what `Field` says stays beside it, and gives the defaults."""
+
+    title: str
+    said: dict[str, Bounds]
+
+    def __new__(
+        cls, name: str, bases: tuple[type, ...], names: dict[str, Any], title: str = ""
+    ) -> KeysMeta:
+        said = {key: value for key, value in names.items() if isinstance(value, Bounds)}
+        for key, value in said.items():
+            if value.default_factory is not UNSET:
+                names[key] = msgspec.field(default_factory=value.default_factory)
+            elif isinstance(value.default, list) and value.default:
+                names[key] = msgspec.field(default_factory=value.default.copy)
+            elif value.default is not UNSET:
+                names[key] = value.default
+            else:
+                del names[key]
+        made = super().__new__(cls, name, bases, names, frozen=True, kw_only=True)
+        made.title = title or name
+        inherited = (getattr(base, "said", {}) for base in bases)
+        made.said = {key: one for part in (*inherited, said) for key, one in part.items()}
+        return made
+
+
+class FileModel(Struct, metaclass=KeysMeta):
+    """Base of all classes of keys: no unknown keys, no text for numbers, no NaN.
+
+    `given` are the keys that the file has; all others have their defaults.
+    """
+
+    title: ClassVar[str]
+    said: ClassVar[dict[str, Bounds]]
+    more_schema: ClassVar[dict[str, Any]] = {}
+    given: frozenset[str] = frozenset()
+
+    def known(self) -> dict[str, Any]:
+        """Return the values by key, without those that are None."""
+        values = {key: getattr(self, key) for key in self.__struct_fields__ if key != "given"}
+        return {key: value for key, value in values.items() if value is not None}
+
+    def changed(self, **values: object) -> Self:
+        """Return this with other values, as if the file had them."""
+        return replace(self, given=self.given | values.keys(), **values)
+
+
+class Check(Struct, frozen=True, eq=False):
+    """Part of a type: a function that returns the value, or raises `ValueError` with the rule."""
+
+    run: Callable[[Any], Any]
+
+
+class Plain(Struct, frozen=True, eq=False):
+    """Part of a type: all of its check, given value and key, and its JSON Schema."""
+
+    run: Callable[[Any, str], Any]
+    schema: dict[str, Any]
+
+
+def check_text(text: str) -> str:
+    """Return `text`; raise ValueError if a terminal could not show it."""
+    if text.isascii() and text.isprintable():
+        return text
+    bad = next((char for char in text if category(char) in _UNPRINTABLE), None)
+    if bad is not None:
+        raise ValueError(f"holds the character U+{ord(bad):04X}, which cannot be shown")
+    return text
+
+
+def _check_name(name: str) -> str:
+    if not re.search(NAME_PATTERN, name):
+        raise ValueError("a name has no blanks, commas, quotes or #")
+    return check_text(name)
+
+
+Text = Annotated[str, Field(min_length=1, max_length=TEXT_MAX_CHARS), Check(check_text)]
+Name = Annotated[
+    str,
+    Field(min_length=1, max_length=TEXT_MAX_CHARS, json_schema_extra={"pattern": NAME_PATTERN}),
+    Check(_check_name),
+]
