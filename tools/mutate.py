@@ -70,7 +70,6 @@ TARGETS = {
 WARM = (
     "numpy",
     "scipy.interpolate",
-    "pydantic",
     "yaml",
     "pytest",
     "hypothesis",

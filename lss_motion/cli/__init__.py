@@ -1,6 +1,6 @@
 """The commands `lss-play` and `lss-motion`: arguments in, text and an exit code out.
 
-A module that `main` imports loads nothing heavy (numpy, pydantic, rich) when it is imported: the
+A module that `main` imports loads nothing heavy (numpy, yaml, rich) when it is imported: the
 help of a command needs none of it. Heavy imports are inside the functions that run a command.
 `lss-motion --help` imports no command. A command imports no other command.
 
@@ -58,6 +58,3 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """No array here is large enough for a second thread. Starting one costs each command 35 ms of
 processor time (measured), and the threads would compete with the player."""
-
-os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-"""pydantic looks for plug-ins in every installed package: 10 ms (measured), and none is for us."""

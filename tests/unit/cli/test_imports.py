@@ -16,11 +16,11 @@ from lss_motion.planning.kept import MAKERS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
-HEAVY = ("numpy", "scipy", "toppra", "pydantic", "yaml", "serial", "rich", "matplotlib")
+HEAVY = ("numpy", "scipy", "toppra", "yaml", "serial", "rich", "matplotlib")
 
 MODULES = tuple(dict.fromkeys(module for module, _ in COMMANDS.values() if module != COMPLETION))
 
-SET_BY_CLI = ("OPENBLAS_NUM_THREADS", "PYDANTIC_DISABLE_PLUGINS")
+SET_BY_CLI = ("OPENBLAS_NUM_THREADS",)
 """Environment variables that `lss_motion.cli` sets unless the user does."""
 
 
@@ -92,7 +92,7 @@ def test_check_imports_its_own_command_and_no_gait() -> None:
     loaded = set(last.split())
     assert {"lss_motion.cli.planning", "lss_motion.planning.trajectory.planner"} <= loaded
     others = {f"lss_motion.cli.{module}" for module in MODULES} - {"lss_motion.cli.planning"}
-    needless = {"pydantic", "numpy.ma", "scipy", "serial", "rich", "lss_motion.show.gait.load"}
+    needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.show.gait.load"}
     needless |= {"lss_motion.stage.load", "lss_motion.stage.model"}
     assert not loaded & (others | needless)
 
@@ -125,11 +125,9 @@ def _loaded_by_play(tmp_path: Path) -> set[str]:
 @pytest.mark.slow
 def test_a_kept_show_is_played_without_what_reads_and_makes_shows(tmp_path) -> None:
     made, kept = _loaded_by_play(tmp_path), _loaded_by_play(tmp_path)
-    assert "pydantic" not in made, "the keys of files need no library"
     assert {"yaml", "lss_motion.planning.trajectory.planner"} <= made
     assert {"lss_motion.planning.program.verify", "lss_motion.playing.player.player"} <= kept
     libraries = {
-        "pydantic",
         "yaml",
         "scipy",
         "toppra",
