@@ -112,15 +112,18 @@ class Stopper:
     def _take(self, end: socket.socket) -> None:
         end.setblocking(False)  # noqa: FBT003
         link = MessagePipe(end)
+        link.receives_filenos = True
         self._links.append(link)
         asyncio.get_running_loop().add_reader(link.fileno(), self._watch, link)
         if (kind := self.latch.kind) is not None:
             _send(link, kind)
 
     def _watch(self, link: MessagePipe) -> None:
-        """Drop the link of a player that has ended."""
+        """Take the links of players that a player has started; drop that of one that has ended."""
         try:
             link.receive()
+            while link.filenos:
+                self._take(socket.socket(fileno=link.filenos.popleft()))
         except PipeClosedError:
             asyncio.get_running_loop().remove_reader(link.fileno())
             link.close()

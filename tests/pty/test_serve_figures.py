@@ -23,6 +23,7 @@ from rig.robot import verdict_of
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
 from tests.pty.test_serve import free_port
+from tests.pty.test_studio import children, post
 from tests.served_bus import served_bus
 from tests.swing import ROBOT, WAIT_S, until
 
@@ -213,3 +214,26 @@ def test_a_cue_from_the_other_computer_pause_rate_and_seek_reach_both_servos_at_
         assert stood_deg == pytest.approx(angle_deg(20), abs=0.5)
         after = [deg for at, deg in turns if at > resumed_ns + 1.2 * NS]
         assert after[:2] == pytest.approx([angle_deg(21), angle_deg(22)], abs=0.9)
+
+
+@pytest.mark.parametrize("path", ["/stop", "/estop"])
+def test_a_stop_needs_no_conductor_and_without_it_the_others_hold(tmp_path, monkeypatch, path):
+    monkeypatch.chdir(tmp_path)
+    began_ns = time.monotonic_ns()
+    with pair(more=CUES) as (own, robot, buses):
+        own.play()
+        time.sleep(1.0)
+        conductor = children(own.processes["left"].pid)["process"]
+        os.kill(conductor, signal.SIGSTOP)
+        pressed_ns = time.monotonic_ns()
+        stop = re.search(r'"stop": "([^"]+)"', "".join(own.lines["left"]))[1]
+        assert post({"stop": stop, "token": own.token}, path) == 204
+        time.sleep(6.5)
+        os.kill(conductor, signal.SIGCONT)
+        assert own.end() == {"left": 0, "right": 0}
+        assert [objections_to(robot, bus, began_ns) for bus in buses] == [[], []]
+    for bus, rests_s in zip(buses, (1.2, 5.0), strict=True):  # A second, the freewheel, a brake.
+        times_ns = np.arange(pressed_ns - NS, pressed_ns + 6 * NS, STEP_NS)
+        horn_deg = bus.horn_deg(times_ns)[:, 0]
+        assert np.ptp(horn_deg[times_ns < pressed_ns]) > 5.0
+        assert np.ptp(horn_deg[times_ns > pressed_ns + rests_s * NS]) < 0.3

@@ -6,6 +6,7 @@ bounded number of bytes, and what finds no room is counted or dropped.
 
 from __future__ import annotations
 
+import socket
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
@@ -53,6 +54,19 @@ class Operator:
         """Return what ends a wait; no link that is flooded or closed."""
         links = [] if self.is_cut or self._is_flooded else [self.link]
         return [link.fileno() for link in (*links, self._stops) if link is not None]
+
+    def new_stop_end(self) -> socket.socket | None:
+        """Return the end of a pipe for stops, for a player that this process starts by itself.
+
+        The process that only stops has the other end, so a stop needs no process between. None:
+        there is none that only stops.
+        """
+        if self._stops is None:
+            return None
+        own, other = socket.socketpair()
+        with other:
+            self._stops.send_fileno(Kind.OBJECT, b"", other.fileno())
+        return own
 
     def note_signal(self) -> None:
         """Note a signal to end."""

@@ -8,6 +8,7 @@ brakes and holds.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final
@@ -33,6 +34,7 @@ from lss_motion.system.reactor import wait_for
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable
 
     from lss_motion.robot.model import Robot
@@ -59,11 +61,16 @@ class PlayerLink:
         freewheel_s: float = 2.0,
         log: Callable[[str], None] = lambda _text: None,
         pass_on: Callable[[Kind, bytes], None] = lambda _kind, _content: None,
+        new_stop_end: Callable[[], socket.socket | None] = lambda: None,
         **options: Any,  # noqa: ANN401
     ) -> None:
-        """`pass_on` gets its events and telemetry, for operators."""
+        """`pass_on` gets its events and telemetry, for operators.
+
+        `new_stop_end` gives each player a pipe for stops of its own, where there is a process that
+        only stops.
+        """
         self._robot, self._options, self._log = robot, options, log
-        self._pass_on = pass_on
+        self._pass_on, self._new_stop_end = pass_on, new_stop_end
         self._rule = FollowRule(
             freewheel_s=s_from_ns(LOST_NS) + freewheel_s,
             lost="hold",
@@ -137,13 +144,19 @@ class PlayerLink:
         if spare is not None and spare.exit_code() is not None:
             spare.pipe.close()
             spare = None
-        return spare or begin_process(modules=PLAYER_MODULES)
+        return spare or self._begin()
+
+    def _begin(self) -> ChildProcess[Any]:
+        with contextlib.ExitStack() as stack:
+            if (stop_end := self._new_stop_end()) is not None:
+                stack.enter_context(stop_end)
+            return begin_process(stop_end, PLAYER_MODULES)
 
     def _keep_spare(self) -> None:
         """Start the next player as soon as the present one is about to end."""
         is_free = self._link is None or self._report.is_stopped
         if is_free and self._spare is None and self._jobs and not self._is_closing:
-            self._spare = begin_process(modules=PLAYER_MODULES)
+            self._spare = self._begin()
 
     def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
         """Tell it where the show is."""

@@ -116,6 +116,7 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
                 folder=None if options.get("plans") is None else Path(options["plans"]),
                 log=steering.log,
                 pass_on=pass_on,
+                new_stop_end=operator.new_stop_end,
                 is_real_time=bool(options.get("is_real_time")),
                 may_run=bool(options.get("may_run")),
             )

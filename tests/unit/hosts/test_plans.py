@@ -156,7 +156,7 @@ def test_a_plan_is_read_before_the_start_and_not_at_it(robots, tmp_path, monkeyp
     assert link.prepare(made.contents[name]) == ""
     begun, given = [], []
 
-    def begin(modules):
+    def begin(_stop_end, _modules):
         own, other = socket.socketpair()
         own.setblocking(False)
         pipe = MessagePipe(own)
