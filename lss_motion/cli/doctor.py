@@ -127,21 +127,26 @@ def _stage(arguments: argparse.Namespace) -> int:
     except BusError as error:  # The address is in use: perhaps by the conductor.
         settings = settings_of(stage, stage.conductor, is_trusted=arguments.trust_network)
         try:
-            rows = examined_by_conductor(settings)
+            found = examined_by_conductor(settings)
         except BusError:
             raise error from None
     else:
         try:
-            rows = examine_stage(host, robots)
+            found = examine_stage(host, robots)
         finally:
             host.close()
+    rows = [
+        {"figure": one.figure, "subject": row.subject, "level": row.level, "text": row.text}
+        for one in found
+        for row in one.rows
+    ]
     if arguments.json:
-        print_json({"rows": to_builtins(rows)})
+        print_json({"rows": rows})
     else:
-        cells = [(f"{row.level:4}", row.figure, row.subject, row.text) for row in rows]
+        cells = [(f"{row['level']:4}", row["figure"], row["subject"], row["text"]) for row in rows]
         for line in aligned(cells):
             print(line)
-    return EXIT_UNREACHABLE if any(row.level == "bad" for row in rows) else EXIT_FINISHED
+    return EXIT_UNREACHABLE if any(row["level"] == "bad" for row in rows) else EXIT_FINISHED
 
 
 def _sound(tone: str | None) -> Finding:

@@ -190,9 +190,8 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
     }
     if stage.figures:
         from lss_motion.stage.hosts.serving import settings_of
-        from lss_motion.stage.hosts.settings import check_settings
 
-        check_settings(settings_of(stage, arguments.figure, is_trusted=arguments.trust_network))
+        settings_of(stage, arguments.figure, is_trusted=arguments.trust_network)
         job |= {"goes": arguments.go, "trusts_network": arguments.trust_network}
         del job["waits_for_port"]
     options = StudioOptions(

@@ -28,8 +28,7 @@ from lss_motion.stage.log import StageLog
 from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.records import must_restart
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.stage.sending import opened
-from lss_motion.stage.stage_timecode import OwnSource, spec_of
+from lss_motion.stage.stage_timecode import OwnSource, opened, spec_of
 from lss_motion.system.messages import plain
 from lss_motion.units import NS_PER_S
 

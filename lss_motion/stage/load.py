@@ -448,8 +448,7 @@ class _Loader:
     def _sync(self) -> Sync:
         entry = self.content.sync
         line = self.source.line(("sync", "timecode"))
-        from lss_motion.stage.sending import spec_of as send_spec_of
-        from lss_motion.stage.stage_timecode import spec_of
+        from lss_motion.stage.stage_timecode import send_spec_of, spec_of
 
         timecode = (
             None if entry.timecode is None else TimecodeInput(**entry.timecode.known(), line=line)

@@ -39,8 +39,7 @@ from lss_motion.stage.model import Kind, Signal, Sync
 from lss_motion.stage.orders import ShowInfo
 from lss_motion.stage.playing import Both, Playing
 from lss_motion.stage.records import Records, must_restart, renewed, state_word
-from lss_motion.stage.sending import Sending
-from lss_motion.stage.stage_timecode import StageTimecode
+from lss_motion.stage.stage_timecode import Sending, StageTimecode
 from lss_motion.system.clock import MonotonicClock
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
@@ -56,7 +55,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
     from lss_motion.stage.model import Stage
-    from lss_motion.stage.sending import Out
+    from lss_motion.stage.stage_timecode import Out
     from lss_motion.stage.timecode.source import Legs
 
     Record = dict[str, Any]

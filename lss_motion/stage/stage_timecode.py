@@ -8,31 +8,37 @@
 
 `OwnSource` reads in a process of its own, and opens the source again when it has gone. Positions
 are the timecode minus `offset_s`, in seconds.
+
+`Sending` is the way out: the show clock of the shows that play for cues. The idle show and the way
+to the rest send nothing: between shows the timecode stands where the last show was left.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from lss_motion.errors import InputError
 from lss_motion.playing.player.following import FIRST_SLACK_S, RUNNING_RATE, Following, FollowRule
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.stage.timecode.chase import State
-from lss_motion.stage.timecode.options import read_follow
+from lss_motion.stage.timecode.options import read_follow, read_send
 from lss_motion.stage.triggering import JUMP_S
 from lss_motion.system.clock import MonotonicClock
+from lss_motion.system.clock_leg import ClockLeg
 from lss_motion.system.closing import Closing
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    import contextlib
+    from collections.abc import Callable, Sequence
 
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.remote.schema import Follow
     from lss_motion.stage.director import Director
-    from lss_motion.stage.model import TimecodeInput
-    from lss_motion.stage.orders import Play
-    from lss_motion.stage.timecode.options import FollowSpec
+    from lss_motion.stage.model import SendOutput, TimecodeInput
+    from lss_motion.stage.orders import Play, Playing
+    from lss_motion.stage.timecode.options import FollowSpec, SendSpec
     from lss_motion.stage.timecode.source import Legs, TimecodeSource
 
 AGAIN_NS: Final = 10 * NS_PER_S
@@ -292,3 +298,63 @@ class StageTimecode:
             "show": None if following is None else following.step.value,
             "off_ms": None if off_s is None else round(1000.0 * off_s, 2),
         }
+
+
+class Out(Protocol):
+    """A receiver of timecode: a `stage.timecode.source.TimecodeOut`, or a test."""
+
+    def send_clock(self, leg: ClockLeg, show: str) -> None:
+        """Send the clock of a show from now on; the same leg again changes nothing."""
+
+
+def send_spec_of(output: SendOutput) -> SendSpec:
+    """Return the receiver that a stage file names; raises `InputError`."""
+    rest = "" if output.output == "default" else f":{output.output}"
+    return read_send(f"{output.kind}{rest}", rate=f"{output.rate_fps:g}", offset=output.offset_s)
+
+
+def opened(
+    outputs: Sequence[SendOutput], stack: contextlib.ExitStack, tell: Callable[[str], None]
+) -> list[Out]:
+    """Open the receivers; one that cannot be opened is named, and the stage plays without it."""
+    from lss_motion.stage.timecode.source import TimecodeOut
+
+    outs: list[Out] = []
+    for output in outputs:
+        try:
+            out = stack.enter_context(TimecodeOut(send_spec_of(output)))
+        except InputError as error:
+            tell(f"{error}: the stage plays without it")
+        else:
+            tell(f"sends {out.text}")
+            outs.append(out)
+    return outs
+
+
+class Sending:
+    """Sends the show clock of one stage. `turn` is called on each turn of the player.
+
+    A pause and a trim are in the legs of that clock; a receiver is told only of new ones.
+    """
+
+    def __init__(self, outs: Sequence[Out] = ()) -> None:
+        self._outs = outs
+        self._show = ""
+        self._last_s = 0.0
+        self._stands: ClockLeg | None = None
+
+    def turn(self, player: Player, main: Playing | None, now_ns: int) -> None:
+        """Send the clock of `main` if it plays for a cue; None: it has not begun."""
+        if not self._outs:
+            return
+        if main is not None and main.cue is not None and player.show is not None:
+            self._show, self._stands, leg = main.show, None, player.show.clock.leg
+            # It is over a moment after its end, when the servos have arrived.
+            self._last_s = min(player.show.show_s(now_ns), player.program.duration_s)
+        elif self._show:
+            self._stands = self._stands or ClockLeg(now_ns, self._last_s, 0.0, 0.0, 0)
+            leg = self._stands
+        else:
+            return
+        for out in self._outs:
+            out.send_clock(leg, self._show)

@@ -15,7 +15,6 @@ that clock to within a bound, and its player follows the legs (`playing.player.f
 | `figure`         | a figure: its table of states                         | `host` |
 | `plans`          | plans for all, split, stored and verified by hash     | `host`, `peer` |
 | `settings`       | addresses, keys and access; how zenoh is set up | `peer` |
-| `keys`           | a small authority and a certificate for each figure   | `cli` |
 | `peer`           | the session with the others, the only importer of zenoh | `host` |
 | `host`           | one computer: receives, decides, acts                 | `serving` |
 | `player_link`    | starts and steers the player of a figure              | `serving` |

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from random import Random
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -30,11 +30,11 @@ from lss_motion.stage.triggering import JUMP_S
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from lss_motion.playing.player.show_clock import Leg
     from lss_motion.robot.on_fault import Cause
-    from lss_motion.stage.hosts.conductor import Conductor
+    from lss_motion.stage.hosts.host import Host
     from lss_motion.stage.hosts.messages import Ask, Cast
     from lss_motion.stage.hosts.remote_figures import RemoteFigure
     from lss_motion.stage.model import Stage
@@ -53,17 +53,6 @@ class Offer(Struct, frozen=True):
     contents: Mapping[str, bytes]
 
 
-class Conducts(Protocol):
-    """The host of the conductor, as far as it is needed here."""
-
-    @property
-    def conducts(self) -> Conductor: ...
-
-    def keep(self, contents: Iterable[bytes]) -> None: ...
-
-    def offer(self, casts: Sequence[Cast]) -> None: ...
-
-
 class ConductedStage:
     """The evening of one stage with figures, on the computer of its conductor."""
 
@@ -71,7 +60,7 @@ class ConductedStage:
         self,
         stage: Stage,
         offers: Mapping[str, Offer],
-        host: Conducts,
+        host: Host,
         write: Callable[[Record], None],
         *,
         timecode: StageTimecode | None = None,

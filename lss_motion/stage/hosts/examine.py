@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError
@@ -59,16 +58,6 @@ class Examiner(Protocol):
     def turn(self) -> None: ...
 
 
-class Row(Struct, frozen=True):
-    """One line of the table: what was found about one figure."""
-
-    figure: str
-    subject: str
-    level: str
-    """`ok`, `hint` or `bad`, as `lss-motion doctor` has them."""
-    text: str
-
-
 def examined(figure: str, number: int, robot: Robot, port: str | None, folder: Path) -> Findings:
     """Examine this computer and its servos, in a process of its own."""
     words = ["doctor", str(robot.path), "--json", *(["--port", port] if port else [])]
@@ -104,7 +93,7 @@ def _disk(folder: Path) -> Finding:
 
 def examine_stage(
     host: Examiner, robots: Mapping[str, Robot], wait_s: float | None = None
-) -> list[Row]:
+) -> list[Examined]:
     """Let all figures examine themselves; return what was found, figure by figure.
 
     `host` is that of the conductor, which plays nothing meanwhile; `robots` are those of its files.
@@ -113,12 +102,7 @@ def examine_stage(
     examining = Examining(host, OWN, time.monotonic_ns(), hashes, wait_s)
     while (found := examining.turn(time.monotonic_ns())) is None:
         host.turn()
-    return [row for one in found for row in rows_in(one)]
-
-
-def rows_in(one: Examined) -> list[Row]:
-    """Return the rows that were sent about one figure."""
-    return [Row(one.figure, row.subject, row.level, row.text) for row in one.rows]
+    return found
 
 
 class Examining:
@@ -152,20 +136,12 @@ class Examining:
         if robots is None:
             robots = {} if cast is None else {name: one.robot for name, one in cast.parts.items()}
         found = []
+        version = self._host.figure.version
         for name, figure in figures.items():
-            rows = rows_of(
-                figure,
-                self._findings(name),
-                self._host.figure.version,
-                robots.get(name),
-            )
+            rows = rows_of(figure, self._findings(name), version, robots.get(name))
             if figure.status is not None and figure.is_lost(now_ns):
-                rows.insert(0, Row(name, "network", "bad", "is lost: nothing arrives from it"))
-            texts = tuple(
-                Finding(level=row.level, subject=row.subject[:64], text=row.text[:300])
-                for row in rows
-            )
-            found.append(Examined(figure=name, asked=self._asked, rows=texts))
+                rows.insert(0, _found("bad", "network", "is lost: nothing arrives from it"))
+            found.append(Examined(figure=name, asked=self._asked, rows=tuple(rows)))
         return found
 
     def _findings(self, name: str) -> Findings | None:
@@ -180,7 +156,7 @@ class Examining:
         return self._findings(figure.name) is not None and status.bound_ns is not None
 
 
-def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None) -> list[Row]:
+def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None) -> list[Examined]:
     """Return what the conductor that is served on this computer finds about every figure.
 
     Raises `BusError` if it does not answer.
@@ -205,47 +181,40 @@ def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None
                         found[one.figure] = one
     if not found:
         raise BusError(f"the conductor at {settings.address} does not answer")
-    return [row for name in settings.figures if name in found for row in rows_in(found[name])]
+    return [found[name] for name in settings.figures if name in found]
 
 
 def rows_of(
     figure: RemoteFigure, findings: Findings | None, version: str, robot_hash: str | None
-) -> list[Row]:
-    """Return the rows of one figure."""
-    name, status = figure.name, figure.status
+) -> list[Finding]:
+    """Return what is known of one figure, a line each."""
+    status = figure.status
     if status is None:
         text = "does not answer: is it served there, are address, cable and keys right?"
-        return [Row(name, "network", "bad", text)]
-    rows = [Row(name, "network", "ok", f"answers in {_ms(status.round_trip_ns)} ms")]
+        return [_found("bad", "network", text)]
+    rows = [_found("ok", "network", f"answers in {_ms(status.round_trip_ns)} ms")]
     is_same = status.version == version
-    rows.append(
-        Row(
-            name,
-            "version",
-            "ok" if is_same else "bad",
-            status.version if is_same else f"{status.version}, here {version}: install the same",
-        )
-    )
+    text = status.version if is_same else f"{status.version}, here {version}: install the same"
+    rows.append(_found("ok" if is_same else "bad", "version", text))
     is_same = robot_hash is None or status.robot == robot_hash
     text = status.robot[:8] if is_same else "differs from the file here: give both the same one"
-    rows += [Row(name, "robot file", "ok" if is_same else "bad", text), _clock_row(figure)]
+    rows += [_found("ok" if is_same else "bad", "robot file", text), _clock_row(status.bound_ns)]
     if findings is None:
-        rows.append(Row(name, "computer", "bad", "has not examined itself in time"))
-        return rows
-    for one in findings.findings:
-        rows.append(Row(name, one.subject, one.level.lower(), one.text))
-    return rows
+        return [*rows, _found("bad", "computer", "has not examined itself in time")]
+    return rows + [_found(one.level.lower(), one.subject, one.text) for one in findings.findings]
 
 
-def _clock_row(figure: RemoteFigure) -> Row:
-    status = figure.status
-    bound_ns = None if status is None else status.bound_ns
-    row = Row(figure.name, "clock", "ok", f"known to {_ms(bound_ns)} ms")
+def _found(level: str, subject: str, text: str) -> Finding:
+    return Finding(level=level, subject=subject[:64], text=text[:300])
+
+
+def _clock_row(bound_ns: int | None) -> Finding:
+    text = f"known to {_ms(bound_ns)} ms"
     if bound_ns is None:
-        return replace(row, level="bad", text="not known yet")
+        return _found("bad", "clock", "not known yet")
     if bound_ns > REFUSE_NS:
-        return replace(row, level="bad", text=f"{row.text}: a start is refused")
-    return replace(row, level="hint" if bound_ns > WARN_NS else "ok")
+        return _found("bad", "clock", f"{text}: a start is refused")
+    return _found("hint" if bound_ns > WARN_NS else "ok", "clock", text)
 
 
 def _ms(span_ns: int | None) -> str:

@@ -2,7 +2,7 @@
 
 `Host.turn` is called again and again by one thread. It takes what the network delivered, lets
 `Figure` and `Conductor` decide, and does what they say. The player is a process of its own
-(`PlayerEnd`): whatever happens to this one, it brakes and holds.
+(`PlayerLink`): whatever happens to this one, it brakes and holds.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ import secrets
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
+from msgspec import to_builtins
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
@@ -28,7 +29,6 @@ from lss_motion.stage.hosts.figure import (
     Fetch,
     Figure,
     Follow,
-    PlayerReport,
     StopPlayer,
     Verify,
 )
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from lss_motion.stage.hosts.messages import Cast
     from lss_motion.stage.hosts.peer import Arrival, Peer
     from lss_motion.stage.hosts.plans import PlanStore
+    from lss_motion.stage.hosts.player_link import PlayerLink
     from lss_motion.stage.hosts.settings import NetworkSettings
 
 TURN_S: Final = 0.005
@@ -74,38 +75,6 @@ ASK_TIMES: Final = 3
 """A wish is sent so often: TCP loses none, but a full queue may."""
 
 
-class PlayerEnd(Protocol):
-    """The player of a figure, as its host knows it. No call waits, but for `prepare`."""
-
-    def prepare(self, plan: bytes) -> str:
-        """Verify a plan for this robot, and keep it; return why it cannot be played. May wait."""
-
-    def arm(self, plan: str, start_s: float) -> None:
-        """Start it: check the servos, move to `start_s` of the plan, and wait there for a leg."""
-
-    def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
-        """Tell it where the show is."""
-
-    def stop(self) -> None:
-        """Let it brake, hold and end."""
-
-    def report(self, now_ns: int) -> PlayerReport:
-        """Return what is known of it."""
-
-    def close(self) -> None:
-        """End it, and wait until it has ended."""
-
-
-def asked_for(operation: m.Operation) -> str:
-    """Return what a figure asks for, in words."""
-    match operation:
-        case s.Trigger():
-            return f"trigger {operation.kind} {operation.address}"
-        case s.Cue():
-            return f"cue {operation.label}"
-    return str(getattr(operation, "op", ""))
-
-
 class Host:
     """One computer. `log` gets what happens, a line each."""
 
@@ -113,7 +82,7 @@ class Host:
         self,
         settings: NetworkSettings,
         robot: Robot,
-        player: PlayerEnd,
+        player: PlayerLink,
         store: PlanStore,
         make_peer: Callable[[str], Peer],
         *,
@@ -162,7 +131,6 @@ class Host:
         self._due_ns = {"clock": 0, "status": 0, "beat": 0, "stop": 0, "ask": 0, "tick": 0}
         self._sent_beat: tuple[object, ...] = ()
         self._sent_state = ""
-        self._complained_ns: dict[str, int] = {}
         self.peer = make_peer(self.instance)
         self._join()
 
@@ -305,7 +273,9 @@ class Host:
                 self._obey(ask, parts[1])
 
     def _obey(self, ask: Ask, figure: str) -> None:
-        self.log(f"figure {figure} asks for {asked_for(ask.operation)}")
+        told = {**to_builtins(ask.operation), "id": None, "source": None}
+        words = [str(value) for value in told.values() if value is not None]
+        self.log(f"figure {figure} asks for {' '.join(words)}")
         if isinstance(ask.operation, Examine):
             self._examining = Examining(self, ask.instance, self._now_ns())
             return

@@ -265,15 +265,6 @@ def read_plan(content: bytes, robot: Robot) -> Program:
     return program
 
 
-def plan_problem(content: bytes, robot: Robot) -> str:
-    """Return why a robot cannot play a plan; empty: it can."""
-    try:
-        read_plan(content, robot)
-    except LssMotionError as error:
-        return str(error)
-    return ""
-
-
 class PlanStore:
     """Content by its hash, in a folder. What does not have the hash of its name is not there."""
 

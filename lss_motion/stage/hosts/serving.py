@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.playing.remote import schema as m
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from lss_motion.playing.remote.schema import AnyOperation
     from lss_motion.robot.model import Robot
     from lss_motion.stage.model import Stage
+    from lss_motion.stage.triggers.sources import Sink
 
-    Sources = Callable[["Take"], AbstractContextManager[None]]
+    Sources = Callable[[Sink], AbstractContextManager[None]]
 
 HELP: Final = (
     "keys, each with Enter: g GO · l SHOW play a show · p pause · r resume · v RATIO speed · "
@@ -43,14 +44,8 @@ HELP: Final = (
 )
 
 
-class Take(Protocol):
-    """Takes what a source of triggers has received, from any thread."""
-
-    def __call__(self, operation: AnyOperation, origin: str) -> None: ...
-
-
 def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettings:
-    """Return the network settings of one figure of a stage."""
+    """Return the network settings of one figure of a stage; raises `InputError`."""
     if not stage.figures or stage.conductor is None:
         raise InputError("has no figures: it is served without --figure", path=stage.path)
     if figure not in stage.figures:
@@ -58,7 +53,7 @@ def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettin
         raise InputError(f"has no figure {figure!r}; there are {known}", path=stage.path)
     address = stage.figures[stage.conductor].address or ("127.0.0.1", PORT)
     host = f"[{address[0]}]" if ":" in address[0] else address[0]
-    return NetworkSettings(
+    settings = NetworkSettings(
         stage=stage.name,
         figure=figure,
         conductor=stage.conductor,
@@ -68,6 +63,8 @@ def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettin
         scouting=stage.network.scouting or "",
         is_trusted=is_trusted,
     )
+    check_settings(settings)
+    return settings
 
 
 def serve_figure(
@@ -133,7 +130,6 @@ def conducted(
     log: Callable[[str], None],
     *,
     starts: bool = False,
-    seed: int | None = None,
 ) -> ConductedStage:
     """Return a stage without pages, planned here: `log` gets what happens."""
 
@@ -149,7 +145,6 @@ def conducted(
         host,
         write,
         waits_for_go=not starts and stage.idle is not None,
-        seed=seed,
         plays_first=starts,
     )
 
@@ -173,32 +168,24 @@ def host_of(
     *,
     port: str | None = None,
     trust_network: bool = False,
-    folder: Path | None = None,
-    log: Callable[[str], None] = lambda _text: None,
-    is_real_time: bool = False,
+    **options: Any,  # noqa: ANN401
 ) -> tuple[Host, dict[str, Robot]]:
-    """Return the host of one figure, and the robots that it knows: the conductor's knows all."""
+    """Return the host of one figure, as `host_for`, and the robots of those that it knows.
+
+    The conductor's knows all.
+    """
     from lss_motion.playing.connection import with_port
     from lss_motion.robot.load import load_robot
 
-    check_settings(settings_of(stage, figure, is_trusted=trust_network))
+    settings_of(stage, figure, is_trusted=trust_network)
     robots = {
         name: load_robot(one.robot_path)
         for name, one in stage.figures.items()
         if figure in (name, stage.conductor)
     }
     robot = with_port(robots[figure], port)
-    host = host_for(
-        stage,
-        figure,
-        robot,
-        trust_network=trust_network,
-        folder=folder,
-        log=log,
-        is_real_time=is_real_time,
-        examines_port=port,
-    )
-    return host, robots
+    more = {"trust_network": trust_network, "examines_port": port, **options}
+    return host_for(stage, figure, robot, **more), robots
 
 
 def host_for(
@@ -219,7 +206,6 @@ def host_for(
     from lss_motion.stage.hosts.peer import Peer
 
     settings = settings_of(stage, figure, is_trusted=trust_network)
-    check_settings(settings)
     freewheel_s = stage.network.freewheel_s
     plans = folder or cache_directory() / "network"
     return Host(

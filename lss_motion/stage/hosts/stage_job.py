@@ -153,8 +153,6 @@ class ConductorSteering(StageSteering):
         super().__init__(operator, job.rule)
         self._job = job
         self._conducting: ConductedStage | None = None
-        self._texts: list[str] = []
-        """Logged before there was a run."""
 
     def begin_conducting(self, run: ConductedStage) -> None:
         """Send the first event."""
@@ -173,8 +171,6 @@ class ConductorSteering(StageSteering):
                 marks=(),
             )
         )
-        for text in self._texts:
-            self.log(text)
 
     def pass_on(self, event: m.AnyEvent) -> None:
         """Let operators see what the player of the own figure does."""
@@ -190,9 +186,7 @@ class ConductorSteering(StageSteering):
 
     def log(self, text: str) -> None:
         """Keep a line of the host, for the log and the pages."""
-        if self._conducting is None:
-            self._texts.append(text)
-        else:
+        if self._conducting is not None:
             self._conducting.records.note("network", text)
 
     def _renew(self, job: bytes, player: Player | None) -> None:  # noqa: ARG002

@@ -3,8 +3,12 @@
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.stage.hosts.keys import make_keys
-from lss_motion.stage.hosts.settings import NetworkSettings, check_settings, configuration
+from lss_motion.stage.hosts.settings import (
+    NetworkSettings,
+    check_settings,
+    configuration,
+    make_keys,
+)
 
 
 def settings(**changes):

@@ -106,7 +106,7 @@ def test_a_figure_may_start_before_its_conductor():
 
 
 def keyed(pair_of_folders, names=("left", "right")):
-    from lss_motion.stage.hosts.keys import make_keys
+    from lss_motion.stage.hosts.settings import make_keys
 
     for folder in pair_of_folders:
         make_keys("hall", names, folder)

@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 import lss_motion as lss
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.remote.process import begin_process
 from lss_motion.stage.hosts import plans
 from lss_motion.stage.hosts.messages import hash_of, packed
@@ -81,9 +81,11 @@ def test_a_plan_that_breaks_a_limit_here_is_refused(robots, duet):
     narrow = replace(robot.joints["base"], position_max_deg=45.0)
     other = replace(robot, joints={**robot.joints, "base": narrow})
     content = contents[cast.parts["left"].plan]
-    assert plans.plan_problem(content, robot) == ""
-    assert "joint 'base' would go to" in plans.plan_problem(content, other)
-    assert plans.plan_problem(b"\xff", robot).startswith("the plan is no text")
+    assert plans.read_plan(content, robot).moves
+    with pytest.raises(LssMotionError, match="joint 'base' would go to"):
+        plans.read_plan(content, other)
+    with pytest.raises(InputError, match="the plan is no text"):
+        plans.read_plan(b"\xff", robot)
 
 
 @pytest.mark.parametrize(
