@@ -91,6 +91,7 @@ FOUND_MIXED = (
     64791,  # Targets in EM0 were held back, since answers came under another id: a filter brakes.
     69669,  # Late answers came behind the next query, and taught nothing: no angle was known.
     324,  # Another servo took the place of one while the settings were set.
+    70464,  # The same while the servos were asked where they stand after the approach.
     60333,  # A lag turned out to be larger: three moves of a joint left at once.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

@@ -155,6 +155,8 @@ class PhaseMachine:
         self._must_ask = must_ask
         self._approaches = 0
         self._preparation = Preparation()
+        self._asked_ns = 0
+        """When the servos were asked last where they stand after an approach."""
         self._arrived_ns: int | None = None
         """When the approach had come to its end while added shows go on."""
 
@@ -306,7 +308,7 @@ class PhaseMachine:
             self._judge_arrival(now_ns)
         else:
             self.streamer = None
-            self.dialogue = self.session.arrival_dialogue()
+            self.dialogue, self._asked_ns = self.session.arrival_dialogue(), now_ns
 
     def _after_show(self, now_ns: int) -> None:
         """End the run: its only show is over, or the robot has stopped; else hold all joints."""
@@ -457,8 +459,12 @@ class PhaseMachine:
             return
         session = self.session
         silent = session.note_positions(answers)
-        silent += [joint for joint in session.unreported(answers) if joint not in silent]
-        match self.faults.arrive(session.restarted(answers), silent, now_ns):
+        unknown = [*session.unreported(answers), *session.back_since(self._asked_ns)]
+        restarted = session.restarted(answers)
+        for joint in unknown:
+            if joint not in (*silent, *restarted):
+                silent.append(joint)
+        match self.faults.arrive(restarted, silent, now_ns):
             case Verdict.END:
                 self.end("fault", now_ns)
             case Verdict.RECOVER:

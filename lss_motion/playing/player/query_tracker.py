@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.protocol.framing import Command, Reply, encode_query, size_of
-from lss_motion.units import NS_PER_MS
+from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
     from lss_motion.playing.player.serial_line import SerialLine
@@ -68,6 +68,8 @@ SLOW_TIMEOUT_NS: Final = 100 * NS_PER_MS
 a query to a servo that is silent holds up the others for so long."""
 SLOWER_RATIO: Final = 1.25
 """A servo that is slower than was assumed gets so much of the time that it needed. Chosen."""
+AWAY_NS: Final = 4 * NS_PER_S // 10
+"""Another servo is not put in the place of one in less. Chosen: three lost answers at 9600 bps."""
 TWIN_NS: Final = 10 * NS_PER_MS
 """A second servo of an id answers at most so much later than the first: 2 ms (FACTS.md W14), with a
 margin for the line and the adapter."""
@@ -174,6 +176,10 @@ class _LinkState:
     """Shortest expected answer."""
     last_sent_ns: int = 0
     last_reply_ns: int | None = None
+    missed_ns: int | None = None
+    """When the first query without an answer had arrived since the last one with one."""
+    back_ns: int = 0
+    """When an answer ended the last absence of `AWAY_NS` or more; 0: there was none."""
     answered_ns: dict[str, int] = field(default_factory=dict)
     """By keyword, when it was answered last, unless that answer has come twice."""
     doubles: int = 0
@@ -251,6 +257,10 @@ class QueryTracker:
     def last_reply_ns(self, servo_id: int) -> int | None:
         """Return when a servo last answered, accepted or too late; None: never."""
         return self._links[servo_id].last_reply_ns
+
+    def back_ns(self, servo_id: int) -> int:
+        """Return when a servo answered again after an absence of `AWAY_NS` or more; 0: never."""
+        return self._links[servo_id].back_ns
 
     def latency(self, servo_id: int) -> ReplyLatency:
         return self._links[servo_id].latency
@@ -390,6 +400,9 @@ class QueryTracker:
             flight.is_doubtful = True
             self._lost.append(skipped)
         flight.arrived_ns = link.last_reply_ns = now_ns
+        if link.missed_ns is not None:
+            link.back_ns = now_ns if now_ns - link.missed_ns >= AWAY_NS else link.back_ns
+            link.missed_ns = None
         if reply.keyword in link.answered_ns and link.doubles > 0:
             link.doubles = 0
         link.answered_ns[reply.keyword] = now_ns
@@ -412,6 +425,8 @@ class QueryTracker:
         for servo_id in late:
             flight, link = self._flights.pop(servo_id), self._links[servo_id]
             given_up += flight.waiting
+            if link.missed_ns is None and flight.waiting:
+                link.missed_ns = flight.waiting[0].arrival_ns
             self.strays += len(flight.held)
             self._quickest_ns = None
             link.quiet_until_ns = now_ns + STRAY_NS

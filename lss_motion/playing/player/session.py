@@ -326,6 +326,10 @@ class Session:
         }
         return [joint for joint in self.driven if (joint.bus, joint.servo_id) in others]
 
+    def back_since(self, since_ns: int) -> list[Joint]:
+        """Return the driven servos that were away, and have answered again since then."""
+        return [j for j in self.driven if self.trackers[j.bus].back_ns(j.servo_id) > since_ns]
+
     def unrestored_text(self) -> str:
         """Return a warning about settings that are not given back; empty if none was changed."""
         orders = handshake.changing_orders(self.joints, self.original)
