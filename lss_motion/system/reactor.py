@@ -18,7 +18,7 @@ import select
 import signal
 import sys
 import time
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 if TYPE_CHECKING:
     import socket
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from lss_motion.system.messages import TypedPipe
 
 Message = TypeVar("Message")
+
+ENDING: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""Signals that end a program, but not its helpers."""
 
 
 def wait_for(
@@ -65,9 +70,8 @@ def begin() -> None:
     """
     from lss_motion.system.messages import MessagePipe  # programs without helpers do without
 
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), _do_nothing)
+    for number in ENDING:
+        signal.signal(number, _do_nothing)
     module_name, fileno, *words = sys.argv[1:]
     pipe = MessagePipe(_own_end(fileno))
     sys.exit(importlib.import_module(module_name).main(pipe, *words))

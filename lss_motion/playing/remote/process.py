@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.system.messages import Kind, MessagePipe
 from lss_motion.system.process import ChildProcess
+from lss_motion.system.reactor import ENDING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,7 +41,6 @@ class Changeable(Protocol):
     options: dict[str, Any]
 
 
-ENDING: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 SEND_S: Final = 5.0
 """The result is dropped if the client does not take it for so long."""
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import socket
+import subprocess
+import sys
 import time
 
 import pytest
@@ -51,3 +53,9 @@ def test_a_wait_ends_when_something_can_be_read_or_its_time_is_over(ends):
     assert wait_for((), 0.0, writable=[helper.fileno()]) == [helper.fileno()]
     starter.send(Count(1))
     assert wait_for([helper.fileno()], math.inf) == [helper.fileno()]
+
+
+def test_processes_can_be_imported_where_there_are_fewer_signals():
+    """Windows has no SIGHUP."""
+    code = "import signal; del signal.SIGHUP; import lss_motion.playing.remote.process"
+    subprocess.run([sys.executable, "-c", code], check=True)
