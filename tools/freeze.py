@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-LIBRARIES: Final = ("numpy", "scipy", "toppra", "msgspec", "pyyaml")
+LIBRARIES: Final = ("numpy", "scipy", "toppra", "pyyaml")
 TEXTS_SHOWN: Final = 20
 
 

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from random import Random
 
     from lss_motion.robot.on_fault import Cause
-    from lss_motion.stage.model import Stage, StartMode
+    from lss_motion.stage.file import StartMode
+    from lss_motion.stage.model import Stage
 
 DEBOUNCE_NS: Final = 300 * NS_PER_MS
 """A cue that was triggered so shortly before is one press of a button. Chosen: contacts bounce for

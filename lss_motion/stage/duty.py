@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from lss_motion.robot.on_fault import Cause
-    from lss_motion.stage.model import Budget, Retry, Stage
+    from lss_motion.stage.file import Budget
+    from lss_motion.stage.model import Retry, Stage
 
 CURRENT_MEAN_S: Final = 60.0
 """A budget of current is one of heat, and a servo warms up within minutes."""

@@ -1,6 +1,7 @@
 """The keys of a stage file: names, units, and bounds of each key alone.
 
-`stage.load` checks what several keys mean together. The descriptions are the
+`stage.load` checks what several keys mean together; a class of keys that it hands on as it is, is
+also the value: `Sync`, `Budget`, `Alerts`. The descriptions are the
 reference of the file format.
 """
 
@@ -10,7 +11,10 @@ from typing import Annotated, Final, Literal
 
 from lss_motion.files.keys import Check, Field, FileModel, Name, Text, check_text
 from lss_motion.show.file import FileName, Reading
-from lss_motion.stage.model import Choice, Deed, StartMode
+
+StartMode = Literal["only_if_idle", "add", "interrupt", "terminate", "restart", "queue"]
+Choice = Literal["in_turn", "random"]
+Deed = Literal["stop", "rest", "wake"]
 
 CUES_MAX: Final = 1000
 """Chosen: more than an operator can tell apart."""
@@ -146,7 +150,7 @@ class CueEntry(FileModel, title="cue"):
     disable: list[Name] = Field(default=[], description="Cues that cannot fire from then on.")
 
 
-class TimecodeEntry(FileModel, title="timecode"):
+class TimecodeInput(FileModel, title="timecode"):
     """The timecode that this stage follows."""
 
     source: Literal["ltc", "mtc", "artnet", "fpp"] = Field(
@@ -177,7 +181,7 @@ class TimecodeEntry(FileModel, title="timecode"):
     )
 
 
-class SendEntry(FileModel, title="send"):
+class SendOutput(FileModel, title="send"):
     """Where the show clock is sent, for lights and sound."""
 
     kind: Literal["mtc", "ltc", "artnet", "fpp", "osc"] = Field(description="What is sent.")
@@ -194,11 +198,11 @@ class SendEntry(FileModel, title="send"):
     )
 
 
-class SyncEntry(FileModel, title="sync"):
+class Sync(FileModel, title="sync"):
     """What leads the shows, and what they lead."""
 
-    timecode: TimecodeEntry | None = Field(default=None, description="Timecode to follow.")
-    send: list[SendEntry] = Field(
+    timecode: TimecodeInput | None = Field(default=None, description="Timecode to follow.")
+    send: list[SendOutput] = Field(
         default=[], description="What the clock of shows that cues play is sent to."
     )
 
@@ -233,7 +237,7 @@ class ListenEntry(FileModel, title="listen"):
     )
 
 
-class BudgetEntry(FileModel, title="budget"):
+class Budget(FileModel, title="budget"):
     """Above `slow` the shows are slower, above `rest` the figure rests until it is below `slow`."""
 
     slow: float = Field(ge=0.0, le=1000.0, description="Shows play at slow_ratio above this.")
@@ -255,12 +259,12 @@ class DutyEntry(FileModel, title="duty"):
     limp: bool = Field(
         default=False, description="The servos have no power in the rest pose; only with rest."
     )
-    temperature_c: BudgetEntry | None = Field(
+    temperature_c: Budget | None = Field(
         default=None,
         description="Budget of the hottest servo.",
         examples=[{"slow": 55, "rest": 65}],
     )
-    current_a: BudgetEntry | None = Field(
+    current_a: Budget | None = Field(
         default=None, description="Budget of the current of all servos, as a mean of a minute."
     )
     slow_ratio: float = Field(default=0.5, gt=0.0, le=1.0, description="See the budgets.")
@@ -295,7 +299,7 @@ class StageFaultEntry(FileModel, title="on_fault of a stage"):
     )
 
 
-class AlertEntry(FileModel, title="alerts"):
+class Alerts(FileModel, title="alerts"):
     """Where faults are reported."""
 
     webhook: Line | None = Field(
@@ -371,7 +375,7 @@ class StageFile(FileModel, title="stage file"):
         default=[],
         description="What starts them. Of cues that fire at once, the first comes first.",
     )
-    sync: SyncEntry = Field(default_factory=SyncEntry, description="Timecode, in and out.")
+    sync: Sync = Field(default_factory=Sync, description="Timecode, in and out.")
     listen: ListenEntry = Field(
         default_factory=ListenEntry, description="Where triggers and operators come from."
     )
@@ -379,7 +383,7 @@ class StageFile(FileModel, title="stage file"):
     on_fault: StageFaultEntry = Field(
         default_factory=StageFaultEntry, description="What follows a fault that has ended a show."
     )
-    alerts: AlertEntry = Field(default_factory=AlertEntry, description="Where faults are reported.")
+    alerts: Alerts = Field(default_factory=Alerts, description="Where faults are reported.")
     log: LogEntry = Field(default_factory=LogEntry, description="What is kept of each night.")
     time_zone: Line | None = Field(
         default=None,

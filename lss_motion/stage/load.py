@@ -22,8 +22,6 @@ from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import time_of_day
 from lss_motion.stage.model import (
     ATTEMPTS,
-    Alerts,
-    Budget,
     Cue,
     Duty,
     Kind,
@@ -31,12 +29,9 @@ from lss_motion.stage.model import (
     LogRule,
     Network,
     Retry,
-    SendOutput,
     Stage,
     StageFigure,
     StageShow,
-    Sync,
-    TimecodeInput,
     Trigger,
 )
 
@@ -47,13 +42,14 @@ if TYPE_CHECKING:
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.stage.file import (
-        BudgetEntry,
+        Budget,
         CueEntry,
         DutyEntry,
         ListenEntry,
         OnEntry,
         StageFaultEntry,
         StageFile,
+        Sync,
     )
     from lss_motion.stage.model import Side
 
@@ -170,7 +166,7 @@ class _Loader:
             listen=self._listen(content.listen, ("listen",)),
             duty=self._duty(content.duty),
             retry=self._retry(content.on_fault),
-            alerts=Alerts(webhook=content.alerts.webhook, mqtt=content.alerts.mqtt),
+            alerts=content.alerts,
             log=LogRule(
                 folder=self.source.path.parent / content.log.folder,
                 max_bytes=round(content.log.max_mb * 1e6),
@@ -446,34 +442,26 @@ class _Loader:
     # ---- the rest
 
     def _sync(self) -> Sync:
-        entry = self.content.sync
-        line = self.source.line(("sync", "timecode"))
+        sync = self.content.sync
         from lss_motion.stage.stage_timecode import send_spec_of, spec_of
 
-        timecode = (
-            None if entry.timecode is None else TimecodeInput(**entry.timecode.known(), line=line)
-        )
-        if timecode is not None:
+        if sync.timecode is not None:
             try:
-                spec_of(timecode)
+                spec_of(sync.timecode)
             except InputError as error:
                 self._note(("sync", "timecode", "input"), error.reason)
-        send = tuple(
-            SendOutput(**output.known(), line=self.source.line(("sync", "send", index)))
-            for index, output in enumerate(entry.send)
-        )
-        if send and self.content.figures:
+        if sync.send and self.content.figures:
             text = (
                 "a stage with figures does not send its clock: take send out, and let lights and "
                 "sound follow the timecode that the figures follow (sync: {timecode: …})"
             )
             self._note(("sync", "send"), text)
-        for index, output in enumerate(send):
+        for index, output in enumerate(sync.send):
             try:
                 send_spec_of(output)
             except InputError as error:
                 self._note(("sync", "send", index), error.reason)
-        return Sync(timecode=timecode, send=send)
+        return sync
 
     def _listen(self, entry: ListenEntry, place: Location) -> Listen:
         for index, network in enumerate(entry.allow):
@@ -526,14 +514,11 @@ class _Loader:
             quiet=tuple(self._quiet(entry.quiet)),
         )
 
-    def _budget(self, entry: BudgetEntry | None, place: Location) -> Budget | None:
-        if entry is None:
-            return None
-        if entry.slow >= entry.rest:
-            self._note(
-                (*place, "slow"), f"slow ({entry.slow:g}) must be below rest ({entry.rest:g})"
-            )
-        return Budget(slow=entry.slow, rest=entry.rest)
+    def _budget(self, budget: Budget | None, place: Location) -> Budget | None:
+        if budget is not None and budget.slow >= budget.rest:
+            text = f"slow ({budget.slow:g}) must be below rest ({budget.rest:g})"
+            self._note((*place, "slow"), text)
+        return budget
 
     def _quiet(self, spans: list[str]) -> list[tuple[time, time]]:
         found = []

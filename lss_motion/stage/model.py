@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from msgspec import Struct, field
 
 from lss_motion.robot.on_fault import RESUMABLE, Cause
+from lss_motion.stage.file import Alerts, Budget, Choice, Deed, StartMode, Sync
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
 
-StartMode = Literal["only_if_idle", "add", "interrupt", "terminate", "restart", "queue"]
-Choice = Literal["in_turn", "random"]
-Deed = Literal["stop", "rest", "wake"]
 Side = Literal["below", "above"]
 Others = Literal["go_on", "slow", "hold"]
 
@@ -133,35 +131,6 @@ class StageShow(Struct, frozen=True, kw_only=True):
         return next(iter(self.paths.values()))
 
 
-class TimecodeInput(Struct, frozen=True, kw_only=True):
-    """The timecode that the stage follows."""
-
-    source: Literal["ltc", "mtc", "artnet", "fpp"]
-    input: str = "default"
-    rate_fps: float | None = None
-    freewheel_s: float = 2.0
-    lost: Literal["go_on", "hold"] = "go_on"
-    offset_s: float = 0.0
-    line: int | None = None
-
-
-class SendOutput(Struct, frozen=True, kw_only=True):
-    """Where the show clock is sent."""
-
-    kind: Literal["mtc", "ltc", "artnet", "fpp", "osc"]
-    output: str = "default"
-    rate_fps: float = 25.0
-    offset_s: float = 0.0
-    line: int | None = None
-
-
-class Sync(Struct, frozen=True, kw_only=True):
-    """What leads the shows, and what they lead."""
-
-    timecode: TimecodeInput | None = None
-    send: tuple[SendOutput, ...] = ()
-
-
 class Listen(Struct, frozen=True, kw_only=True):
     """Where triggers and operators come from; None: not at all. Ports are `(host, port)`."""
 
@@ -174,13 +143,6 @@ class Listen(Struct, frozen=True, kw_only=True):
     allow: tuple[str, ...] = ("127.0.0.0/8", "::1/128")
     """Networks from which protocols without passwords are accepted."""
     line: int | None = None
-
-
-class Budget(Struct, frozen=True, kw_only=True):
-    """Above `slow` shows are slower; above `rest` the figure rests until it is below `slow`."""
-
-    slow: float
-    rest: float
 
 
 class Duty(Struct, frozen=True, kw_only=True):
@@ -214,13 +176,6 @@ class Retry(Struct, frozen=True, kw_only=True):
     wait_s: float = 10.0
     others: Others = "hold"
     """What the other figures do when one has a fault."""
-
-
-class Alerts(Struct, frozen=True, kw_only=True):
-    """Where faults are reported."""
-
-    webhook: str | None = None
-    mqtt: str | None = None
 
 
 class LogRule(Struct, frozen=True, kw_only=True):

@@ -35,7 +35,7 @@ from lss_motion.robot.on_fault import ENDING, Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director
 from lss_motion.stage.log import Ring
-from lss_motion.stage.model import Kind, Signal, Sync
+from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.orders import ShowInfo
 from lss_motion.stage.playing import Both, Playing
 from lss_motion.stage.records import Records, must_restart, renewed, state_word
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
-    from lss_motion.stage.model import Stage
     from lss_motion.stage.stage_timecode import Out
     from lss_motion.stage.timecode.source import Legs
 
@@ -200,7 +199,7 @@ class StageRun:
             name
             for name, before, after in (
                 ("the robot", self.robot, robot_of(planned)),
-                ("sync", opened_by(self.stage), opened_by(stage)),
+                ("sync", self.stage.sync, stage.sync),
                 ("log", self.stage.log, stage.log),
                 ("a sensor of the cues", self.stage.sensors, stage.sensors),
                 ("a function of the shows", self._functions, planned.functions),
@@ -595,12 +594,3 @@ def infos_of(programs: Mapping[str, Program]) -> dict[str, ShowInfo]:
         name: ShowInfo(joints=frozenset(one.start_deg), duration_s=one.duration_s)
         for name, one in programs.items()
     }
-
-
-def opened_by(stage: Stage) -> Sync:
-    """Return the timecode of a stage, in and out, without the lines of its file."""
-    given, send = stage.sync.timecode, stage.sync.send
-    return Sync(
-        timecode=None if given is None else replace(given, line=None),
-        send=tuple(replace(one, line=None) for one in send),
-    )

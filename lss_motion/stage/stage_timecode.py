@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.remote.schema import Follow
     from lss_motion.stage.director import Director
-    from lss_motion.stage.model import SendOutput, TimecodeInput
+    from lss_motion.stage.file import SendOutput, TimecodeInput
     from lss_motion.stage.orders import Play, Playing
     from lss_motion.stage.timecode.options import FollowSpec, SendSpec
     from lss_motion.stage.timecode.source import Legs, TimecodeSource

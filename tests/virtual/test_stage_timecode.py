@@ -13,8 +13,9 @@ from campaign.witness import Witness
 
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.check import plan_stage
+from lss_motion.stage.file import TimecodeInput
 from lss_motion.stage.load import load_stage
-from lss_motion.stage.model import Kind, Signal, TimecodeInput
+from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage.stage_timecode import OwnSource, spec_of
 

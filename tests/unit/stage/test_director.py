@@ -15,8 +15,8 @@ from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director, ShowInfo
+from lss_motion.stage.file import Budget
 from lss_motion.stage.model import (
-    Budget,
     Cue,
     Duty,
     Kind,

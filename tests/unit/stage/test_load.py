@@ -12,8 +12,9 @@ from lss_motion.errors import InputError, install_command
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import is_stage_file, time_of_day
+from lss_motion.stage.file import Budget
 from lss_motion.stage.load import load_stage, stage_schema, timecode_s
-from lss_motion.stage.model import Budget, Kind
+from lss_motion.stage.model import Kind
 
 WHOLE = """\
 cues:

@@ -13,17 +13,8 @@ from hypothesis import strategies as st
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import QUEUE_MAX, Director, ShowInfo
-from lss_motion.stage.model import (
-    Budget,
-    Cue,
-    Duty,
-    Kind,
-    LogRule,
-    Signal,
-    Stage,
-    StageShow,
-    Trigger,
-)
+from lss_motion.stage.file import Budget
+from lss_motion.stage.model import Cue, Duty, Kind, LogRule, Signal, Stage, StageShow, Trigger
 from lss_motion.units import NS_PER_S
 
 STARTS = ("only_if_idle", "add", "interrupt", "terminate", "restart", "queue")
