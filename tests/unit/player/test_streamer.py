@@ -844,17 +844,6 @@ def test_one_that_rests_or_gathers_speed_meets_its_plan_and_does_not_pass_it(
     assert far_off_deg(state, resend_ns / 1e9 + 0.2, 1.2) < 0.2
 
 
-def test_how_fast_it_goes_on_counts_from_where_its_move_began(kit, line):
-    further = travel(80.0, due_s=1.5)
-    state = timed(kit, travel(40.0), further)
-    state.note_sent(0, 400, 1000)
-    state.begin_move(further)
-    rejoin(state, line, 1.8)
-    assert state.deferred.travel_deg_s == pytest.approx(40.0, abs=0.1)
-    send_deferred(state, line, state.deferred.resend_ns)
-    assert far_off_deg(state, 2.2, 2.7) < 0.2
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_one_that_is_far_behind_goes_as_fast_as_it_may(kit, line, sign):
     state = timed(kit, travel(80.0 * sign))
@@ -872,18 +861,6 @@ def test_one_that_cannot_meet_its_plan_any_more_arrives_as_soon_as_it_may(kit, l
     assert rejoin(state, line, show_s) == b"#1D800T445\r"
     assert state.deferred is None
     assert state.profile.at(show_s + 0.8) == (80.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("arrival_s", "at_deg"), [(-0.05, 0.0), (0.003, 0.0), (None, 39.0), (None, 90.0)]
-)
-def test_one_that_is_not_behind_has_the_rest_of_its_time(kit, line, arrival_s, at_deg):
-    state = timed(kit, travel(40.0))
-    state.stand_at(at_deg)
-    if arrival_s is not None:
-        state.note_sent(round(1e9 * arrival_s), 400, 1000)
-    assert rejoin(state, line, 0.3) == b"#1D400T700\r"
-    assert state.deferred is None
 
 
 def test_one_whose_move_ends_where_it_began_has_the_rest_of_its_time(kit, line):
