@@ -24,8 +24,7 @@ from lss_motion.playing.player.handshake import SettingsDialogue
 from lss_motion.playing.player.health import STATUS_TEXTS, turn_text
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import health_words
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.playing.player.settings_watch import Probe, ServoWatch
 from lss_motion.playing.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import make_command, read_reply

@@ -21,8 +21,8 @@ from msgspec import Struct, to_builtins
 from lss_motion.files.output import write_output
 from lss_motion.files.source import counted
 from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
+from lss_motion.playing.player.due_moves import Statistics
 from lss_motion.playing.player.events import Faulted
-from lss_motion.playing.player.lateness import Statistics
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.show.splines import polyline
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns

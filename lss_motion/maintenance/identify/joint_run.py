@@ -26,8 +26,7 @@ from lss_motion.maintenance.identify.trials import (
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.checks import reported_firmware
 from lss_motion.playing.player.health import status_fault
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.playing.player.settings_watch import ServoWatch
 from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.protocol.codec import read_reply

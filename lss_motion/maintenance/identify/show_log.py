@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.maintenance.identify.trials import SentMove
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, CommandParser, encode

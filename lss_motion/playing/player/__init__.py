@@ -15,9 +15,8 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     file            what it is                                          who calls it
     player          the calls of the loop and of those that steer       run, live, walking, cli
     phases          the phases of a run, and every change of them       player
-    present_show    what is played, and how it went                     phases
     added_show      what is played beside it, on other joints           phases
-    repertoire      the programs of a run, and what they need           player
+    repertoire      the programs of a run, and the present show         player, phases
     session         the servos during one run, shared by all phases     phases
     preflight       the dialogue before servos move, also once more     session, hands_on, cli
     checks          what the servos answered, compared with the files   session, preflight, cli
@@ -25,21 +24,18 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     transactions    lists of queries and orders on every bus            handshake, connection, cli
     approach        program from where the robot stands to the start    session
     streamer        one program on the show clock                       session
-    joining         moves of joints that are off their plan             streamer
     show_clock      show time as a function of the run clock            streamer, cues
     following       keeps a show in step with a leader                  sync, remote
-    due_moves       moves in the order in which they leave              streamer
-    rate_ramps      moves computed at run time: rate not 1, guiding     streamer
+    due_moves       moves in the order in which they leave, how late    streamer, report
+    rate_ramps      moves computed at run time: other rates, off plan   streamer
     setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
     joint_state     one joint: sent moves, model, readings              streamer, polling
-    lateness        how late the moves of a run left                    streamer, report
     estimators      load, play, lag, lost moves of a joint              joint_state
     standing        corrections of a joint at rest                      joint_state
     polling         queries in the gaps between moves, and their use    streamer
     query_choice    which servo is polled next, and for what            polling
-    query_tracker   queries in flight on one bus                        polling, transactions
+    query_tracker   one line, and the queries in flight on it           all that send
     unasked         what arrives on a bus beyond its queries            session, monitor
-    serial_line     one line: when it is free, what came in             all that send
     settings_watch  servos that may have lost their settings            polling, hands_on, identify
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError
 from lss_motion.playing.player.cues import Agenda
 from lss_motion.playing.player.events import ShowBegan, ShowOver, Warned
-from lss_motion.playing.player.present_show import summary_of
+from lss_motion.playing.player.repertoire import summary_of
 from lss_motion.playing.player.session import Arrival
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.events import Event, ShowOutcome
-    from lss_motion.playing.player.present_show import PresentShow
-    from lss_motion.playing.player.repertoire import Repertoire
+    from lss_motion.playing.player.repertoire import PresentShow, Repertoire
     from lss_motion.playing.player.session import Session
     from lss_motion.playing.player.streamer import Streamer
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import WaitPoint
     from lss_motion.playing.player.events import Event, WaitState
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import SerialLine
     from lss_motion.playing.player.show_clock import ShowClock
     from lss_motion.robot.model import Joint, Robot, Sensor
     from lss_motion.show.model import Wait

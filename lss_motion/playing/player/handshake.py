@@ -30,8 +30,7 @@ from lss_motion.units import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
-    from lss_motion.playing.player.query_tracker import QueryTracker
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
     from lss_motion.robot.model import Joint, Robot
 
     Answers = Mapping[tuple[str, int, str], int | str | None]

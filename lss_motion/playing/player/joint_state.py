@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.reference_grid import ServoLimits
     from lss_motion.planning.program.response import PiecewiseProfile
     from lss_motion.planning.program.verify import ServoProfile
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import SerialLine
     from lss_motion.playing.player.show_clock import ShowClock
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint, Robot

@@ -1,7 +1,7 @@
 """The phases of a run, one after the other: what is done in each, and what follows.
 
 In every phase the machine has one activity: a dialogue (`handshake`), a streamer, or it waits.
-`session` holds what the phases share, `present_show` is what is played, `added_show` what is played
+`session` holds what the phases share, `repertoire` what is played, `added_show` what is played
 beside it, `faults` decides about faults. `TRANSITIONS` has every change of the phase.
 """
 
@@ -17,12 +17,12 @@ from lss_motion.playing.player.events import Phase, PhaseEntered, Warned
 from lss_motion.playing.player.faults import FaultHandler, Verdict
 from lss_motion.playing.player.handshake import Preparation, SettingsDialogue
 from lss_motion.playing.player.preflight import Preflight
-from lss_motion.playing.player.present_show import PresentShow, Start
+from lss_motion.playing.player.repertoire import PresentShow, Start
 from lss_motion.playing.player.session import COUNT_IN_NS, Arrival
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.events import Event, ShowOutcome
@@ -165,19 +165,21 @@ class PhaseMachine:
         """The show itself, once it has begun."""
         return self.present.streamer
 
-    def wakeups_ns(self) -> list[int | None]:
-        """Return when `step` must be called again, apart from what comes in."""
-        wakeups_ns: list[int | None] = []
+    def wakeups_ns(self, others_ns: Iterable[int]) -> list[int | None]:
+        """Return when `step` must be called again, apart from what comes in, and `others_ns`."""
+        wakeups_ns: list[int | None] = [*others_ns]
+        phase, present = self.phase, self.present
         if self.dialogue is not None:
             wakeups_ns.append(self.dialogue.next_wakeup_ns())
         elif self.streamer is not None:
             wakeups_ns.append(self.streamer.next_wakeup_ns(self.now_ns))
-        if self.phase in DRIVING and self.dialogue is None:
+        if phase in DRIVING and self.dialogue is None:
             wakeups_ns += self.faults.escalation.wakeups_ns()
-        if self.phase in PLAYING:
-            agenda_ns = self.session.agenda.wakeup_ns(self.show, self.session.lines, self.now_ns)
-            wakeups_ns += (agenda_ns, self.present.goal_ns)
-        elif self.phase is Phase.RECOVER and self.faults.recovery is not None:
+        if phase in PLAYING:
+            agenda, lines = self.session.agenda, self.session.lines
+            agenda_ns = agenda.wakeup_ns(present.streamer, lines, self.now_ns)
+            wakeups_ns += (agenda_ns, present.goal_ns)
+        elif phase is Phase.RECOVER and self.faults.recovery is not None:
             wakeups_ns.append(self.faults.recovery.give_up_ns)
         if self.added.shows:
             wakeups_ns += [one.next_wakeup_ns(self.now_ns) for one in self.added.apart]

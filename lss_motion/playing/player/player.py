@@ -31,7 +31,7 @@ from lss_motion.playing.player.cues import SensorWatch
 from lss_motion.playing.player.events import Phase, Warned
 from lss_motion.playing.player.faults import Verdict
 from lss_motion.playing.player.phases import DRIVING, ENDING, PLAYING, PhaseMachine
-from lss_motion.playing.player.present_show import Start
+from lss_motion.playing.player.repertoire import Start
 from lss_motion.playing.player.session import Session
 from lss_motion.playing.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
@@ -120,35 +120,37 @@ class Player:
 
         `leaves_ns` is the instant at which the bytes will leave, shortly after the call.
         """
-        before_ns, self._machine.now_ns = self._machine.now_ns, leaves_ns
-        if self._stalls.is_held_up(leaves_ns) and self._machine.streamer is not None:
+        machine = self._machine
+        before_ns, machine.now_ns = machine.now_ns, leaves_ns
+        if self._stalls.is_held_up(leaves_ns) and machine.streamer is not None:
             is_long = self._stalls.is_held_up(leaves_ns, LONG_NS)
-            self._machine.streamer.hold_back(leaves_ns, is_long=is_long)
+            machine.streamer.hold_back(leaves_ns, is_long=is_long)
         if leaves_ns - before_ns >= GAP_NS:
             self._note_stall(leaves_ns)
-        while self._machine.step(leaves_ns):
+        while machine.step(leaves_ns):
             pass
         return {name: line.take() for name, line in self.lines.items() if line.out}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         """Take bytes of a bus. No bytes of any kind raise."""
+        dialogue, streamer = self._machine.dialogue, self._machine.streamer
         for reply, ended_ns in self.lines[bus].receive(data, now_ns):
-            if self._machine.dialogue is not None:
-                self._machine.dialogue.receive(bus, reply, now_ns)
-            elif self._machine.streamer is not None and self._session.has_feedback:
-                self._machine.streamer.receive(bus, reply, ended_ns, now_ns)
+            if dialogue is not None:
+                dialogue.receive(bus, reply, now_ns)
+            elif streamer is not None and self._session.has_feedback:
+                streamer.receive(bus, reply, ended_ns, now_ns)
             else:
                 self.trackers[bus].receive(reply, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         """Return when `data_to_send` must be called at the latest; None when the run is over."""
-        wakeup_ns = None
-        if self._machine.phase is not Phase.DONE:
-            now_ns = self._machine.now_ns
-            while self._wakes_ns and self._wakes_ns[0] <= now_ns:
-                heapq.heappop(self._wakes_ns)
+        wakeup_ns, machine, wakes_ns = None, self._machine, self._wakes_ns
+        if machine.phase is not Phase.DONE:
+            now_ns = machine.now_ns
+            while wakes_ns and wakes_ns[0] <= now_ns:
+                heapq.heappop(wakes_ns)
             wakeup_ns = now_ns + self.idle_ns
-            for due_ns in (*self._wakes_ns[:1], *self._machine.wakeups_ns()):
+            for due_ns in machine.wakeups_ns(wakes_ns[:1]):
                 if due_ns is not None and due_ns < wakeup_ns:
                     wakeup_ns = due_ns if due_ns > now_ns else now_ns
         self._stalls.wakeup_ns = wakeup_ns
@@ -156,8 +158,9 @@ class Player:
 
     def reads_ns(self, bus: str) -> int | None:
         """Return until when bytes of a bus may wait to be handed over; None: they may not."""
-        is_streaming = self._machine.dialogue is None and self._machine.streamer is not None
-        return self.trackers[bus].reads_ns(self._machine.now_ns) if is_streaming else None
+        machine = self._machine
+        is_streaming = machine.dialogue is None and machine.streamer is not None
+        return self.trackers[bus].reads_ns(machine.now_ns) if is_streaming else None
 
     def is_due(self, leaves_ns: int) -> bool:
         """Return whether a move must leave by then, before answers are used, which takes time.
@@ -166,7 +169,8 @@ class Player:
         """
         if self._stalls.is_held_up(leaves_ns):
             return False
-        due_ns = None if self._machine.streamer is None else self._machine.streamer.due_ns()
+        streamer = self._machine.streamer
+        due_ns = None if streamer is None else streamer.due_ns()
         return due_ns is not None and due_ns <= leaves_ns
 
     def next_event(self) -> Event | None:

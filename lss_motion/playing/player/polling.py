@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.cues import Waiting
     from lss_motion.playing.player.joint_state import JointState
-    from lss_motion.playing.player.query_tracker import PendingQuery, QueryTracker
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import PendingQuery, QueryTracker, SerialLine
     from lss_motion.playing.player.settings_watch import Probe
 
 

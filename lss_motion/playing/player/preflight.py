@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.checks import Refusal
     from lss_motion.playing.player.handshake import Answers
-    from lss_motion.playing.player.query_tracker import QueryTracker
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.on_fault import Escalations

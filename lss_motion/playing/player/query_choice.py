@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.health import HealthMonitor
     from lss_motion.playing.player.joint_state import JointState
-    from lss_motion.playing.player.query_tracker import QueryTracker
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
     from lss_motion.playing.player.settings_watch import SettingsWatch
 
 

@@ -23,8 +23,7 @@ from lss_motion.playing.player.health import is_turned
 from lss_motion.playing.player.joint_state import make_joint_states
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import BY_NEED
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.playing.player.streamer import Streamer
 from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.playing.player.unasked import UnaskedWatches

@@ -27,10 +27,8 @@ from msgspec.structs import replace
 from lss_motion.planning.program.line import longest_move
 from lss_motion.playing.player.approach import with_room
 from lss_motion.playing.player.cues import Waiting
-from lss_motion.playing.player.due_moves import Due, DueMoves, earliest_after
-from lss_motion.playing.player.joining import on_time_s, rejoin, send_deferred
+from lss_motion.playing.player.due_moves import Due, DueMoves, Statistics, earliest_after
 from lss_motion.playing.player.joint_state import LONGEST_NS, JointState, make_joint_states
-from lss_motion.playing.player.lateness import Statistics
 from lss_motion.playing.player.polling import LATE_NS, PollScheduler
 from lss_motion.playing.player.query_choice import BY_NEED
 from lss_motion.playing.player.rate_ramps import (
@@ -41,7 +39,10 @@ from lss_motion.playing.player.rate_ramps import (
     first_guide_ns,
     guide,
     is_off_course,
+    on_time_s,
     ramp_s,
+    rejoin,
+    send_deferred,
     spot_move,
 )
 from lss_motion.playing.player.show_clock import ShowClock
@@ -60,8 +61,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.model import Move, Program
     from lss_motion.planning.program.splice import Extension
     from lss_motion.playing.player.query_choice import Pace
-    from lss_motion.playing.player.query_tracker import QueryTracker
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
     from lss_motion.playing.player.settings_watch import Probe
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot

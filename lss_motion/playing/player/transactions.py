@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec import Struct
 
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.protocol.framing import encode
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.playing.player.query_tracker import QueryTracker
-    from lss_motion.playing.player.serial_line import SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 
 
 LOOK_NS: Final = 250 * NS_PER_MS

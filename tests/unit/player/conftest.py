@@ -6,8 +6,7 @@ import pytest
 
 from lss_motion.planning.program.model import Driving, Program
 from lss_motion.playing.player.joint_state import make_joint_states
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.robot.model import Bus, Robot
 from tests.joints import joint
 

@@ -20,10 +20,10 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program.moves import nearest_wire
 from lss_motion.planning.program.reference_grid import servo_limits
+from lss_motion.playing.player.due_moves import MISSED_NS, Statistics
 from lss_motion.playing.player.estimators import DEAD_S, POINTS_MAX, Trace
 from lss_motion.playing.player.joint_state import REST_DEG_S
-from lss_motion.playing.player.lateness import MISSED_NS, Statistics
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import SerialLine
 from lss_motion.playing.player.setpoints import CLOSING_RATIO, STEP_OFFSETS, Setpoints, closing_deg
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.robot.model import Bus

@@ -29,8 +29,7 @@ from lss_motion.playing.player.query_choice import (
     LONGEST_NS,
     VISIT_NS,
 )
-from lss_motion.playing.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker, SerialLine
 from lss_motion.playing.player.settings_watch import READ_BACK_NS, Probe
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.protocol.framing import Command, CommandParser, Reply, encode

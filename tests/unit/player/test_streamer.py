@@ -22,13 +22,11 @@ from lss_motion.planning.program.response import PiecewiseProfile
 from lss_motion.planning.program.splice import Extension
 from lss_motion.planning.program.verify import profiles
 from lss_motion.planning.trajectory.model import WaitPoint
-from lss_motion.playing.player import joining
+from lss_motion.playing.player import rate_ramps
 from lss_motion.playing.player.due_moves import EARLY_MAX_US, DueMoves
-from lss_motion.playing.player.joining import JOIN_S, on_time_s, send_deferred
 from lss_motion.playing.player.joint_state import RETRIES_MAX
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.rate_ramps import guide
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+from lss_motion.playing.player.rate_ramps import JOIN_S, guide, on_time_s, send_deferred
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.playing.player.streamer import ARRIVAL_MAX_S, SETTLE_S, Streamer
 from lss_motion.protocol.framing import Reply
@@ -782,7 +780,7 @@ CLOCK = ShowClock(0, 0.0, 1.0)
 
 def rejoin(state, line, show_s):
     """Say at rate 1 what is left of the move under way; return the bytes."""
-    joining.rejoin(state, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
+    rate_ramps.rejoin(state, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
     return line.take()
 
 

@@ -4,8 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.playing.player.query_tracker import QueryTracker
-from lss_motion.playing.player.serial_line import SerialLine
+from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.playing.player.transactions import AGREE_TRIES, TRIES, Dialogue, Item
 from lss_motion.protocol.framing import Command, Reply
 
