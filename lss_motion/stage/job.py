@@ -187,23 +187,11 @@ class StageSteering(Steering):
 
     def begin(self, run: StageRun) -> None:
         """Send the first event of a stage."""
-        from lss_motion.playing.connection import is_simulated
-
         self._run = self._own = run
         self._name_plans(run)
-        robot = run.robot
         names = {name for one in run.programs.values() for name in one.start_deg}
-        self.start(
-            m.Started(
-                name=run.stage.name,
-                robot=robot.name,
-                is_simulated=is_simulated(robot),
-                duration_s=None,
-                plan=next(iter(self.plans.values())).hex(),
-                joints=tuple(name for name in robot.joints if name in names),
-                marks=(),
-            )
-        )
+        joints = (name for name in run.robot.joints if name in names)
+        self.start_many(run.stage.name, run.robot, joints)
 
     def _name_plans(self, run: StageRun) -> None:
         self.plans = {name: plan_hash(one) for name, one in run.programs.items()}

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.planning.trajectory.model import Trajectory
-    from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.remote.operator_end import Operator
     from lss_motion.playing.report import Report
     from lss_motion.playing.stage_report import StageReport
@@ -71,7 +70,7 @@ class Outcome(Struct, frozen=True):
 
 def play(job: Job, steering: Steering) -> Outcome:
     """Play `job` with this operator; send the first and the last event."""
-    from lss_motion.playing.player.repertoire import Repertoire
+    from lss_motion.playing.player.repertoire import STANDING, Repertoire
     from lss_motion.playing.run import Observer, perform
 
     observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
@@ -91,7 +90,7 @@ def play(job: Job, steering: Steering) -> Outcome:
         else:
             shows = Repertoire(job.shows, job.robot)
             steering.plans = {name: plan_hash(one) for name, one in job.shows.items()}
-            steering.start(shows_started(shows, job.robot, job.options.get("first") or "standing"))
+            steering.start_many(job.options.get("first") or STANDING, job.robot, shows.joints)
             many = perform(shows, job.robot, observer=observer, **job.options)
             outcome = Outcome(many.report, many.error)
     except LssMotionError as error:
@@ -114,19 +113,4 @@ def started(program: Program, robot: Robot) -> Started:
         marks=tuple(
             MarkInfo(label=mark.label, at_s=mark.planned_s) for mark in program.marks if mark.label
         ),
-    )
-
-
-def shows_started(shows: Repertoire, robot: Robot, name: str) -> Started:
-    """Return the first event of a run of many shows."""
-    from lss_motion.playing.connection import is_simulated
-
-    return Started(
-        name=name,
-        robot=robot.name,
-        is_simulated=is_simulated(robot),
-        duration_s=None,
-        plan=plan_hash(shows.needs(None)).hex(),
-        joints=shows.joints,
-        marks=(),
     )

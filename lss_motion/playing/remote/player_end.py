@@ -25,13 +25,14 @@ from lss_motion.system.messages import Kind
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from lss_motion.playing.player.following import Following
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.playing.remote.operator_end import Operator
+    from lss_motion.robot.model import Robot
 
 OnLost = Literal["stop", "hold", "go_on"]
 """What the player does when its operator is lost."""
@@ -252,6 +253,22 @@ class Steering:
         """Send the first event, and keep the name of the plan for the telemetry."""
         self._plan = bytes.fromhex(message.plan)
         self.operator.send(message)
+
+    def start_many(self, name: str, robot: Robot, joints: Iterable[str]) -> None:
+        """Send the first event of a run of many shows, whose `plans` are known."""
+        from lss_motion.playing.connection import is_simulated
+
+        self.start(
+            m.Started(
+                name=name,
+                robot=robot.name,
+                is_simulated=is_simulated(robot),
+                duration_s=None,
+                plan=next(iter(self.plans.values()), bytes(8)).hex(),
+                joints=tuple(joints),
+                marks=(),
+            )
+        )
 
     def end(self, message: m.Ended) -> None:
         """Send the last event."""

@@ -156,21 +156,11 @@ class ConductorSteering(StageSteering):
 
     def begin_conducting(self, run: ConductedStage) -> None:
         """Send the first event."""
-        from lss_motion.playing.connection import is_simulated
-
         self._run, self._conducting = run, run
         self.plans = plans_of(self._job.hashes)
-        self.start(
-            m.Started(
-                name=run.stage.name,
-                robot=self._job.robot.name,
-                is_simulated=is_simulated(self._job.robot),
-                duration_s=None,
-                plan=next(iter(self._job.hashes.values()), "00" * 8),
-                joints=tuple(self._job.prefix + name for name in self._job.robot.joints),
-                marks=(),
-            )
-        )
+        robot = self._job.robot
+        joints = (self._job.prefix + name for name in robot.joints)
+        self.start_many(run.stage.name, robot, joints)
 
     def pass_on(self, event: m.AnyEvent) -> None:
         """Let operators see what the player of the own figure does."""
