@@ -98,7 +98,7 @@ def check(player, now_ns, seen):
     for state in streamer.joint_states.values():
         check_state(state)
     check_choice(streamer.scheduler._choice)
-    agenda = player._session.agenda
+    agenda = player._present.agenda
     nexts_s = [due[0] for due in (agenda._mark, agenda._cue) if due is not None]
     assert agenda._next_s == min(nexts_s, default=math.inf)
     waiting = streamer.waiting

@@ -200,8 +200,8 @@ class AddedShow:
 
     def _begin(self, now_ns: int) -> list[Event]:
         start_ns = now_ns + COUNT_IN_NS
-        self.streamer = self._show = self._session.begin_beside(
-            self.program, self._start_s, start_ns
+        self.streamer = self._show = self._session.begin(
+            self.program, self._start_s, start_ns, is_beside=True
         )
         self._step, self._began_ns = _Step.SHOW, now_ns
         return [ShowBegan(self.program.name, self._start_s or 0.0, is_added=True)]
@@ -344,7 +344,7 @@ class AddedShows:
         self.shows.remove(one)
         self._share_lines(polling)
         self._present.hold_also(one.streamer.pose_deg(now_ns))
-        states = self._session.take_back(one.streamer, now_ns)
+        states = self._session.take_back(self._present.program, one.streamer, now_ns)
         streamers = [self._present.streamer]
         if polling is not self._present.streamer:
             streamers.append(polling)

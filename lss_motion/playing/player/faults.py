@@ -202,7 +202,7 @@ class FaultHandler:
     """
 
     def __init__(self, session: Session) -> None:
-        self.escalation = FaultEscalation(session.robot, session.program.on_fault)
+        self.escalation = FaultEscalation(session.robot, session.on_fault)
         self.lost_ports: dict[str, str] = {}
         self.recovery: Recovery | None = None
         self._suspected: set[str] = set()
@@ -331,7 +331,7 @@ class FaultHandler:
             f"is {off_deg:.1f} deg from its goal {joint.goal_time_s:g} s after the show, allowed "
             f"is {joint.goal_deg:g} deg ({key}). Look for what holds it"
         )
-        steps = self._session.robot.escalation(Cause.ASTRAY, joint, self._session.program.on_fault)
+        steps = self._session.robot.escalation(Cause.ASTRAY, joint, self._session.on_fault)
         step = FaultStep.WARN if steps == (FaultStep.WARN,) else FaultStep.HOLD
         self._events.append(self.escalation.note(name, Cause.ASTRAY, text, step))
         return Verdict.CONTINUE if step is FaultStep.WARN else Verdict.END
@@ -359,7 +359,7 @@ class FaultHandler:
 
     def lose_sound(self, text: str) -> Verdict:
         """Judge a sound that cannot be played: a warning, or the end of the show."""
-        steps = self._session.robot.escalation(Cause.SOUND, None, self._session.program.on_fault)
+        steps = self._session.robot.escalation(Cause.SOUND, None, self._session.on_fault)
         if steps[0] is FaultStep.WARN:
             self._events.append(Warned(text))
             return Verdict.CONTINUE
@@ -401,7 +401,7 @@ class FaultHandler:
 
     def is_resumable(self, bus: str) -> bool:
         """Return whether the player waits for a port that is lost."""
-        show = self._session.program.on_fault
+        show = self._session.on_fault
         steps = self._session.robot.escalation(Cause.LOST_PORT, None, show)
         return bus in self.lost_ports or FaultStep.RESUME in steps
 

@@ -122,6 +122,7 @@ class PhaseMachine:
         self,
         repertoire: Repertoire,
         session: Session,
+        needs: Program,
         *,
         first: Program | None,
         start_s: float | None,
@@ -136,9 +137,9 @@ class PhaseMachine:
         self.events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self.session = session
         self.faults = FaultHandler(session)
-        self.present = PresentShow(repertoire, session, first, start_s, is_open=is_open)
+        self.present = PresentShow(repertoire, session, needs, first, start_s, is_open=is_open)
         self.added = AddedShows(repertoire, session, self.present)
-        self.dialogue: Dialogue | SettingsDialogue | Preflight | None = session.preflight()
+        self.dialogue: Dialogue | SettingsDialogue | Preflight | None = session.preflight(needs)
         self.streamer: Streamer | None = None
         self.rate = 1.0
         """The rate that a person set; a fault may reduce it further."""
@@ -176,8 +177,8 @@ class PhaseMachine:
         if phase in DRIVING and self.dialogue is None:
             wakeups_ns += self.faults.escalation.wakeups_ns()
         if phase in PLAYING:
-            agenda, lines = self.session.agenda, self.session.lines
-            agenda_ns = agenda.wakeup_ns(present.streamer, lines, self.now_ns)
+            lines = self.session.lines
+            agenda_ns = present.agenda.wakeup_ns(present.streamer, lines, self.now_ns)
             wakeups_ns += (agenda_ns, present.goal_ns)
         elif phase is Phase.RECOVER and self.faults.recovery is not None:
             wakeups_ns.append(self.faults.recovery.give_up_ns)
@@ -217,10 +218,10 @@ class PhaseMachine:
         if self.streamer is None:
             return
         if self.phase in PLAYING:
-            self.events += self.session.agenda.advance(self.streamer, self.session.lines, now_ns)
+            self.events += self.present.agenda.advance(self.streamer, self.session.lines, now_ns)
         self.streamer.advance(now_ns)
         if self.streamer.has_waited:
-            self.events += self.session.note_wait(self.streamer)
+            self.events += self.present.note_wait(self.streamer)
 
     def _advance_added(self, now_ns: int) -> None:
         for one in [*self.added.apart]:
@@ -355,7 +356,9 @@ class PhaseMachine:
 
     def _connected(self, preflight: Preflight) -> None:
         try:
-            self.events += self.session.note_original(preflight)
+            self.events += self.session.note_original(
+                preflight, self.present.program, self.present.start_deg()
+            )
         except LssMotionError as error:
             self._fail(error)
             return
@@ -443,17 +446,17 @@ class PhaseMachine:
         self._approaches += 1
         self.has_moved = True
         if self.seek_s is not None:
-            self.session.seek(self.show, self.seek_s, now_ns)
-            self.seek_s = self.present.ended_ns = self.present.goal_ns = None
+            self.present.seek(self.seek_s, now_ns)
+            self.seek_s = None
         if self.phase is not Phase.APPROACH:
             self._enter(Phase.APPROACH)
-        pose_deg = self.session.pose_deg(self.show, now_ns)
+        pose_deg = self.present.pose_deg(now_ns)
         self.streamer = self.session.approach(self.added.places(pose_deg, now_ns), now_ns)
         self.present.held_deg |= pose_deg
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return the angles of the driven joints from which the show begins, or goes on."""
-        return self.added.places(self.session.pose_deg(self.show, now_ns), now_ns)
+        return self.added.places(self.present.pose_deg(now_ns), now_ns)
 
     def _arrived(self, answers: Answers, now_ns: int) -> None:
         """Go on with the show if every joint is where it begins; else repeat the approach."""

@@ -93,11 +93,11 @@ class Player:
         """
         if first is not None:
             repertoire.require(first)
-        needs, only_s = repertoire.needs(first), None if repertoire.only is None else start_s
+        needs = repertoire.needs(first)
         self.repertoire = repertoire
         self.robot = robot = driven(robot, needs)
         options = {"has_feedback": has_feedback, "is_forced": is_forced}
-        session = Session(needs, robot, start_s=only_s, pace=repertoire.pace, **options)
+        session = Session(needs, robot, pace=repertoire.pace, **options)
         self.watched = SensorWatch(robot.sensors[name] for name in repertoire.watched)
         """The sensors of the repertoire that a caller watches."""
         session.watched = self.watched
@@ -106,7 +106,13 @@ class Player:
         self.unasked = session.unasked
         self._session = session
         self._machine = PhaseMachine(
-            repertoire, session, first=first, start_s=start_s, must_ask=must_ask, is_open=is_open
+            repertoire,
+            session,
+            needs,
+            first=first,
+            start_s=start_s,
+            must_ask=must_ask,
+            is_open=is_open,
         )
         self._present, self._added = self._machine.present, self._machine.added
         self._stalls, self._stops, self.idle_ns = StallDetector(), 0, IDLE_NS

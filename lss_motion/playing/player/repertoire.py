@@ -23,6 +23,7 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.planning.program.model import TIMED, Driving, Program
 from lss_motion.planning.trajectory.model import WaitPoint
+from lss_motion.playing.player.cues import LED_KEYWORD, Agenda
 from lss_motion.playing.player.events import JointSummary, Phase, ShowBegan, ShowOver, ShowSummary
 from lss_motion.playing.player.query_choice import BY_NEED, ON_STAGE
 from lss_motion.show.model import Wait
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from lss_motion.planning.program.splice import Extension
-    from lss_motion.playing.player.events import Event, ShowOutcome
+    from lss_motion.playing.player.events import Event, ShowOutcome, Waited
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.query_choice import Pace
     from lss_motion.playing.player.session import Session
@@ -215,19 +216,27 @@ class PresentShow:
         self,
         repertoire: Repertoire,
         session: Session,
+        needs: Program,
         first: Program | None,
         start_s: float | None,
         *,
         is_open: bool,
     ) -> None:
-        """Begin with the only program of the repertoire, or let `first` be the next one."""
+        """Begin with the only program of the repertoire, or let `first` be the next one.
+
+        `needs` is what all programs need together.
+        """
         self._repertoire = repertoire
         self._session = session
-        self.program = session.program
+        self.program = needs
         """The program with all joints of the run; before the first show, what all need together."""
         self.own = repertoire.only
         """The program without the joints that it does not move; None: all hold."""
         self.start_s = start_s
+        self._from_s = None if self.own is None else start_s
+        """Show time at which the show begins: another one if it was sent elsewhere before."""
+        self.agenda = Agenda(needs, session.robot)
+        self.agenda.begin_at(self._from_s)
         self.streamer: Streamer | None = None
         """The show itself, once it has begun."""
         self.next = None if self.own is not None else Start(first, start_s)
@@ -271,7 +280,8 @@ class PresentShow:
     def change(self, outcome: ShowOutcome, last: Streamer | None, now_ns: int) -> list[Event]:
         """Let the next program take this place, where all joints stand; return what is reported.
 
-        `last` has moved the joints until now.
+        `last` has moved the joints until now. The colours that the show before has given to the
+        lights are taken back.
         """
         assert self.next is not None
         events = self.over(outcome, now_ns)
@@ -279,17 +289,42 @@ class PresentShow:
             self.held_deg |= last.pose_deg(now_ns)
         (self.own, self.start_s), self.next = self.next, None
         self.changes += 1
-        self.program = self._whole()
-        self._session.change(self.program, self.start_s)
+        lit = {name for cue in self.program.cues for name, _ in cue.led}
+        self.program, self._from_s = self._whole(), self.start_s
+        self.agenda = Agenda(self.program, self._session.robot)
+        self.agenda.begin_at(self._from_s)
+        for joint in self._session.joints:
+            colour = self._session.original.get((joint.bus, joint.servo_id, f"Q{LED_KEYWORD}"))
+            if joint.name in lit and isinstance(colour, int):
+                self.agenda.light(joint, colour)
+        self._session.on_fault = self.program.on_fault
         self.streamer = self.ended_ns = self.goal_ns = None
         return events
+
+    def seek(self, show_s: float, now_ns: int) -> None:
+        """Let the show, which stands or has not begun, go on from `show_s`."""
+        self.agenda.begin_at(show_s)
+        self.ended_ns = self.goal_ns = None
+        if self.streamer is None:
+            self._from_s = show_s
+        else:
+            self.streamer.jump_to(show_s, now_ns)
+
+    def start_deg(self) -> dict[str, float]:
+        """Return the joint angles at which the show begins, also in its middle."""
+        return self._session.start_of(self.program, self._from_s)
+
+    def pose_deg(self, now_ns: int) -> dict[str, float]:
+        """Return the angles of the driven joints from which the show begins, or goes on."""
+        show, session = self.streamer, self._session
+        pose_deg, lent = self.start_deg() if show is None else show.pose_deg(now_ns), session.lent
+        return {n: pose_deg[n] for n in (joint.name for joint in session.driven) if n not in lent}
 
     def hold_also(self, deg: Mapping[str, float]) -> None:
         """Hold these joints, of a show that is over, where they are."""
         self.held_deg |= deg
         if self.streamer is None:
             self.program = self._whole()
-            self._session.hold(self.program)
 
     def _whole(self) -> Program:
         """Return the present program with all joints of the run."""
@@ -299,8 +334,16 @@ class PresentShow:
 
     def begin(self, start_ns: int) -> Streamer:
         """Return the streamer of the show, which starts at `start_ns`."""
-        self.streamer = self._session.begin(start_ns, is_open=self.is_open)
+        self.streamer = self._session.begin(self.program, self._from_s, start_ns)
+        if self.is_open:
+            self.streamer.keep_open()
         return self.streamer
+
+    def note_wait(self, streamer: Streamer) -> list[Waited]:
+        """Return what a streamer has waited for; the agenda goes back where the show did."""
+        if (back_at_s := streamer.take_way_back()) is not None:
+            self.agenda.go_back(back_at_s)
+        return streamer.waiting.take_notices()
 
     def begun(self, now_ns: int) -> list[Event]:
         """Note that a show begins, if one does; return what is reported of it."""

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from lss_motion.planning.program.verify import profiles
 from lss_motion.playing.player import checks, handshake
 from lss_motion.playing.player.approach import approach, with_room
-from lss_motion.playing.player.cues import LED_KEYWORD, Agenda, SensorWatch
+from lss_motion.playing.player.cues import SensorWatch
 from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
 from lss_motion.playing.player.handshake import SettingsDialogue
 from lss_motion.playing.player.health import is_turned
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
     from lss_motion.planning.program.model import Program
-    from lss_motion.playing.player.events import Event, Waited
+    from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.handshake import Answers
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.query_choice import Pace
@@ -68,7 +68,7 @@ class Arrival(Enum):
 
 
 class Session:
-    """The servos of one robot during one show."""
+    """The servos of one robot during one run."""
 
     def __init__(
         self,
@@ -76,25 +76,23 @@ class Session:
         robot: Robot,
         *,
         has_feedback: bool,
-        start_s: float | None,
         is_forced: bool = False,
         pace: Pace | None = BY_NEED,
     ) -> None:
-        self.program = program
+        """Take what all programs of the run need together, as one program."""
+        self.on_fault = program.on_fault
+        """The steps that the present show requires about faults."""
         self.robot = robot
         self.joints = [robot.joints[name] for name in program.start_deg]
         self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
         self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
         self.unasked = UnaskedWatches(self.lines, self.trackers)
-        self.agenda = Agenda(program, robot)
-        self.agenda.begin_at(start_s)
         self.led_joints = {name for cue in program.cues for name, _ in cue.led}
         """Joints whose LED colour is changed, also by later programs."""
         self.has_feedback = has_feedback
         self._pace = pace
         self.is_forced = is_forced
         """Whether a person accepts what a show without feedback gives up."""
-        self.start_s = start_s
         self.original: Answers = {}
         """Answers of every servo before anything was changed."""
         self._before: Preflight | None = None
@@ -150,7 +148,7 @@ class Session:
     def dialogue(self, items: Iterable[Item]) -> Dialogue:
         return Dialogue(items, self.lines, self.trackers)
 
-    def preflight(self) -> Preflight:
+    def preflight(self, program: Program) -> Preflight:
         """Return the dialogue before anything is changed: servos, settings, sensors.
 
         Without feedback the stored limits must be right. What a simulated servo stores tells
@@ -162,10 +160,10 @@ class Session:
             self.robot,
             self.lines,
             self.trackers,
-            more=checks.sensor_queries(self.program, self.robot),
+            more=checks.sensor_queries(program, self.robot),
             led_joints=self.led_joints,
             reads_stored=not (self.has_feedback and is_simulated),
-            show=self.program.on_fault,
+            show=program.on_fault,
         )
 
     def proof(
@@ -206,7 +204,9 @@ class Session:
 
     # ---- answers
 
-    def note_original(self, preflight: Preflight) -> list[Event]:
+    def note_original(
+        self, preflight: Preflight, program: Program, start_deg: Mapping[str, float]
+    ) -> list[Event]:
         """Keep what the servos answered before any change; return what a person should know.
 
         Raises if a servo or a sensor is missing, or a servo must not do what the program requires.
@@ -216,33 +216,15 @@ class Session:
         preflight.require_own_ids()
         self.unasked.start()
         return checks.check(
-            self.program,
+            program,
             self.robot,
             self.joints,
             preflight,
             self.trackers,
-            self.start_deg(),
+            start_deg,
             has_feedback=self.has_feedback,
             is_forced=self.is_forced,
         )
-
-    def hold(self, program: Program) -> None:
-        """Let `program`, which is the present one but for the joints that it holds, be it."""
-        self.program = program
-
-    def change(self, program: Program, start_s: float | None) -> None:
-        """Let `program`, which has the same joints, be the next one, from `start_s` on.
-
-        The colours that the program before has given to the lights are taken back.
-        """
-        lit = {name for cue in self.program.cues for name, _ in cue.led}
-        self.program, self.start_s = program, start_s
-        self.agenda = Agenda(program, self.robot)
-        self.agenda.begin_at(start_s)
-        for joint in self.joints:
-            colour = self.original.get((joint.bus, joint.servo_id, f"Q{LED_KEYWORD}"))
-            if joint.name in lit and isinstance(colour, int):
-                self.agenda.light(joint, colour)
 
     def turned(self, answers: Answers, now_ns: int) -> list[tuple[Joint, float, float]]:
         """Return joints that are more than half a turn from where they were sent, or stood.
@@ -337,10 +319,6 @@ class Session:
 
     # ---- places
 
-    def start_deg(self) -> dict[str, float]:
-        """Return the joint angles at which the show begins, also in its middle."""
-        return self.start_of(self.program, self.start_s)
-
     def start_of(self, program: Program, start_s: float | None) -> dict[str, float]:
         """Return the joint angles of the horns at `start_s` of a program, or at its beginning.
 
@@ -354,11 +332,6 @@ class Session:
             plan_s = program.within(start_s - profile_lead_s(joint))
             pose_deg[name] = joint.joint_deg(plan.at(plan_s)[0])
         return pose_deg
-
-    def pose_deg(self, show: Streamer | None, now_ns: int) -> dict[str, float]:
-        """Return the angles of the driven joints from which the show begins, or goes on."""
-        pose_deg, lent = self.start_deg() if show is None else show.pose_deg(now_ns), self.lent
-        return {n: pose_deg[n] for n in (joint.name for joint in self.driven) if n not in lent}
 
     def furthest(self, pose_deg: Mapping[str, float]) -> tuple[str, float]:
         """Return the driven joint that stands furthest from `pose_deg`, and its distance in deg."""
@@ -375,12 +348,6 @@ class Session:
         """Return the servo angles to which the last moves sent the servos."""
         return {name: state.place(now_ns)[0] for name, state in self._states.items()}
 
-    def note_wait(self, streamer: Streamer) -> list[Waited]:
-        """Return what a streamer has waited for; the agenda goes back where the show did."""
-        if (back_at_s := streamer.take_way_back()) is not None:
-            self.agenda.go_back(back_at_s)
-        return streamer.waiting.take_notices()
-
     # ---- streamers
 
     def approach(
@@ -396,36 +363,27 @@ class Session:
             state.limit_speed(self.robot.approach_speed_deg_s)
         return streamer
 
-    def begin(self, start_ns: int, *, is_open: bool) -> Streamer:
-        """Return the show, which starts at `start_ns` with every joint at its start.
-
-        The servos stand where they were sent: at the start, corrected for their load.
-        """
-        show = self._begin(self.program, self.start_s, start_ns)
-        if is_open:
-            show.keep_open()
-        return show
-
-    def begin_beside(self, program: Program, start_s: float | None, start_ns: int) -> Streamer:
-        """Return a show that starts beside the present one, on joints of its own."""
-        return self._begin(program, start_s, start_ns, is_beside=True)
-
-    def _begin(
+    def begin(
         self, program: Program, start_s: float | None, start_ns: int, *, is_beside: bool = False
     ) -> Streamer:
+        """Return a show, which starts at `start_ns` with every joint at its start.
+
+        The servos stand where they were sent: at the start, corrected for their load. `is_beside`:
+        it is played beside the present one, on joints of its own.
+        """
         start_deg, joints = self.start_of(program, start_s), self.robot.joints
         standing = {name: joints[name].servo_deg(deg) for name, deg in start_deg.items()}
         commanded = self._commanded_deg(start_ns)
         standing |= {name: commanded[name] for name in standing if name in commanded}
         return self._stream(program, standing, start_ns, start_s, is_beside=is_beside)
 
-    def take_back(self, streamer: Streamer, now_ns: int) -> dict[str, JointState]:
+    def take_back(self, program: Program, streamer: Streamer, now_ns: int) -> dict[str, JointState]:
         """Return states for joints that `streamer` has moved beside a show, and that rest now.
 
-        With them, the present show holds these joints where they stand.
+        With them, the present show, which plays `program`, holds these joints where they stand.
         """
         program = replace(
-            self.program, start_deg=streamer.pose_deg(now_ns), moves=(), repeat=None, cues=()
+            program, start_deg=streamer.pose_deg(now_ns), moves=(), repeat=None, cues=()
         )
         commanded = self._commanded_deg(now_ns)
         states = make_joint_states(
@@ -449,14 +407,6 @@ class Session:
     def note_standing(self, now_ns: int) -> None:
         """Keep where the last moves have sent the servos, which have braked since."""
         self.standing_deg |= self._commanded_deg(now_ns)
-
-    def seek(self, show: Streamer | None, show_s: float, now_ns: int) -> None:
-        """Let the show, which stands or has not begun, go on from `show_s`."""
-        self.agenda.begin_at(show_s)
-        if show is None:
-            self.start_s = show_s
-            return
-        show.jump_to(show_s, now_ns)
 
     def resume(self, show: Streamer, now_ns: int) -> None:
         """Go on with `show` from where the approach sent the servos, with its estimates."""
