@@ -57,14 +57,21 @@ TARGETS = {
     "playing/player/faults": ("tests/unit/player/test_faults.py", _LADDER),
     "playing/player/health": ("tests/unit/player/test_health.py",),
     "playing/player/joint_state": ("tests/unit/player/test_joint_state.py",),
-    "playing/player/lateness": ("tests/unit/player/test_joint_state.py",),
+    "playing/player/due_moves": (
+        "tests/unit/player/test_joint_state.py",
+        "tests/unit/player/test_streamer.py",
+    ),
     "playing/player/setpoints": ("tests/unit/player/test_joint_state.py",),
     "playing/player/polling": ("tests/unit/player/test_polling.py",),
-    "playing/player/query_tracker": ("tests/unit/player/test_query_tracker.py",),
+    "playing/player/query_tracker": (
+        "tests/unit/player/test_query_tracker.py",
+        "tests/unit/player/test_serial_line.py",
+    ),
     "playing/player/show_clock": ("tests/unit/player/test_show_clock.py",),
     "playing/player/streamer": ("tests/unit/player/test_streamer.py",),
-    "playing/player/joining": ("tests/unit/player/test_streamer.py",),
+    "playing/player/rate_ramps": ("tests/unit/player/test_streamer.py",),
     "playing/player/player": (_LADDER, _SHOW),
+    "playing/player/phases": (_LADDER, _SHOW),
 }
 """Module → the tests that are to notice."""
 WARM = (
