@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
 FILE = re.compile(r"^```yaml\n# (my_\w+\.yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-ASKING = ("lss-play", "lss-motion identify")
-"""Commands that ask before anything moves. No person can answer here."""
 COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "python tools/campaign")
 """Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
@@ -197,8 +195,8 @@ def _typed(commands: list[str], folder: Path) -> bool:
             words = command.split("  #")[0].split()
             print(f"       tools/run {' '.join(words)}")
             typed = [str(ROOT / "tools" / "run"), *(word for word in words if word != "&")]
-            if command.startswith(ASKING):
-                typed.append("--yes")
+            if words[0] == "lss-play":
+                typed.append("--yes")  # No person can answer here.
             if words[-1] == "&":
                 beside.enter_context(_running(typed, folder))
                 continue
