@@ -121,6 +121,14 @@ def test_answers_that_damage_each_other_are_named(stage, kit):
     assert not [line for line in played.lines(after_ns=int(2.33 * S)) if line[:3] == b"#2D"]
 
 
+@pytest.mark.parametrize("ratio", [0.1, 0.2, 1.0])
+def test_a_line_that_doubles_replies_is_not_taken_for_two_servos(stage, kit, ratio):
+    played = play_six(stage, kit, [Fault(kind=FaultKind.DOUBLE_REPLY, ratio=ratio)], 115_200)
+    assert played.report.outcome == "finished"
+    suspected = [e for e in played.events if "answers every query twice" in getattr(e, "cause", "")]
+    assert suspected == []
+
+
 def test_a_line_that_doubles_replies_for_a_while_ends_no_show(stage, kit):
     doubled = Fault(kind=FaultKind.DOUBLE_REPLY, at_s=2.0, until_s=2.4)
     played = play_six(stage, kit, [doubled], 115_200)

@@ -149,6 +149,9 @@ margin for the line and the adapter."""
 TWIN_ANSWERS: Final = 2
 """After so many answers in a row that came twice, two servos may have the id. Chosen: to examine
 it costs a show some seconds, and two servos are moved as one until then."""
+SINGLE_FLIGHTS: Final = 6
+"""The others must have been asked so often, and no answer of theirs came twice: a line that doubles
+replies, all or a fifth of them, shows by then that it is no matter of one id. Chosen."""
 TWIN_PAUSE: Final = 100
 """So many must come twice until the same is suspected once more. Chosen: an examination found one
 servo, so the line doubles its replies."""
@@ -293,6 +296,8 @@ class QueryTracker:
         self.doubled: list[int] = []
         """Ids whose answers come twice, as when two servos have the id; a caller that uses them
         empties it."""
+        self._doublers: set[int] = set()
+        """Ids of which an answer ever came twice."""
         self._flights: dict[int, _Flight] = {}
         self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
@@ -550,9 +555,15 @@ class QueryTracker:
         """Note that a reply has come twice, so much later."""
         if later_ns <= TWIN_NS:
             link.doubles += 1
-            if link.doubles == TWIN_ANSWERS:
+            self._doublers.add(servo_id)
+            if link.doubles >= TWIN_ANSWERS and self._is_only_doubler(servo_id):
                 link.doubles = TWIN_ANSWERS - TWIN_PAUSE
                 self.doubled.append(servo_id)
+
+    def _is_only_doubler(self, servo_id: int) -> bool:
+        """Return whether there are others on the bus, and their answers come once."""
+        others = [link.flights for other, link in self._links.items() if other != servo_id]
+        return self._doublers == {servo_id} and min(others, default=0) >= SINGLE_FLIGHTS
 
     def _accepted(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
         """Return, and stop holding, the answers that can belong to one query only."""
