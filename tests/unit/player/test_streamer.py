@@ -699,11 +699,6 @@ def test_a_move_overtakes_none_of_its_servo_when_its_lag_is_believed_longer():
     assert len({due.due_us - due.at_us for due in found}) > 2
 
 
-def test_moves_of_one_instant_leave_as_they_stand_in_the_program():
-    due_moves = DueMoves(iter(moves(100, servo_id=5) + moves(100, servo_id=2)), lambda _: 0)
-    assert [due_moves.first(ENDLESS) and due_moves.pop().move.servo_id for _ in "12"] == [5, 2]
-
-
 def test_a_walk_without_end_is_not_looked_through_to_its_end():
     endless = ((10_000 * number, move_of_due(10_000 * number)) for number in count())
     assert DueMoves(endless, lambda _: 500).first(ENDLESS).due_us == 0
@@ -747,29 +742,11 @@ def test_what_was_due_before_a_replacement_still_leaves_in_order(seed):
     assert left(due_moves) == sorted((due - early_us[servo], due) for due, servo in kept)
 
 
-def test_no_move_is_earlier_than_the_largest_lag():
-    assert left(DueMoves(iter(moves(500_000)), lambda _: 10**9)) == [(440_000, 500_000)]
-
-
 def test_what_is_due_after_a_wait_does_not_leave_before_it():
     due_moves = DueMoves(iter(moves(100, 1000, 1001)), lambda _: 500)
     assert left(due_moves, before_us=1001) == [(-400, 100), (500, 1000)]
     assert due_moves.first(1001) is None
     assert left(due_moves) == [(501, 1001)]
-
-
-def test_what_the_show_has_passed_never_leaves():
-    due_moves = DueMoves(iter(moves(100, 200, 300, 400)), lambda one: one.due_us)
-    due_moves.first(ENDLESS)
-    assert [due_us for due_us, _ in due_moves.pass_by(300)] == [100, 200, 300]
-    assert left(due_moves) == [(0, 400)]
-
-
-def test_a_walk_that_goes_on_replaces_what_was_due_from_there():
-    due_moves = DueMoves(iter(moves(100, 200, 300, 90_000)), lambda _: 0)
-    due_moves.first(ENDLESS)
-    due_moves.replace_from(250, [move_of_due(260), move_of_due(95_000)])
-    assert [due_us for _, due_us in left(due_moves)] == [100, 200, 260, 95_000]
 
 
 # ---- catching up

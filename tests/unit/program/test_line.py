@@ -93,6 +93,19 @@ def test_a_request_that_cannot_move_earlier_keeps_its_place():
     assert reserved_us(LineSchedule(), *requests) == [9_000, 8_000, 10_000]
 
 
+def test_a_request_displaced_by_a_blocked_one_overlaps_no_slot():
+    line = LineSchedule()
+    assert [line.reserve(5_000, 1_000, 0), line.reserve(7_500, 700, 0)] == [5_000, 7_500]
+    assert reserved_us(line, (6_000, 1_000, 0), (7_000, 1_000, 0)) == [4_000, 6_800]
+
+
+def test_a_request_moved_before_one_slot_also_moves_before_the_next():
+    line = LineSchedule()
+    for end_us in (9_000, 7_500):
+        line.reserve(end_us, 1_000, 0)
+    assert reserved_us(line, (10_000, 1_000, 0), (10_050, 1_000, 0)) == [6_500, 10_050]
+
+
 USES = {
     "nothing is sent": ([], (0, 0.0, 0.0, 0, 0)),
     "commands, share, and the worst 100 ms": (
