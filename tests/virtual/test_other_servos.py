@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from lss_motion.playing.player.events import Phase
 from lss_motion.robot.on_fault import Cause
 from lss_motion.sim.faults import Fault, FaultKind
 
@@ -30,12 +31,14 @@ def unplugged(at_s=AT_S, gone_s=1.0):
     return Fault(kind=FaultKind.UNPLUGGED, at_s=at_s, until_s=at_s + gone_s)
 
 
-def play(stage, kit, faults, *, stored=None, **fields):
+def play(stage, kit, faults, *, stored=None, must_ask=False, wishes=(), **fields):
     robot = kit.robot(3, baud_bps=115200, **fields)
     joints = {n: replace(one, stored=stored or {}) for n, one in robot.joints.items()}
     robot = replace(robot, joints=joints)
     sequence = kit.sequence(3, 4.0, seed=5, swing_deg=70.0, step_s=(0.5, 0.8))
-    return stage.play(robot, sequence, faults=faults, start_deg={"j0": 25.0, "j1": -20.0})
+    start_deg = {"j0": 25.0, "j1": -20.0}
+    given = {"must_ask": must_ask, "wishes": wishes}
+    return stage.play(robot, sequence, faults=faults, start_deg=start_deg, **given)
 
 
 def require_still(played, at_s=AT_S):
@@ -75,6 +78,26 @@ def test_another_robot_behind_the_port_is_never_driven(stage, kit, gone_s):
     assert "origin (O) 120 deg" in str(played.result.error)
     require_still(played)
     assert not [line for line in played.lines(after_ns=int(3 * S)) if re.match(rb"#\d+D", line)]
+
+
+@pytest.mark.parametrize("waited_s", [0.7, 60.0])
+def test_a_servo_that_is_exchanged_while_a_person_is_waited_for_is_never_driven(
+    stage, kit, waited_s
+):
+    def is_asked_for(player, now_ns):
+        return player.phase is Phase.READY and now_ns > waited_s * S
+
+    played = play(
+        stage,
+        kit,
+        [exchanged(at_s=0.4, deaf_s=0.1, O=900)],
+        must_ask=True,
+        wishes=[(is_asked_for, lambda player, _: player.go())],
+    )
+    assert played.report.outcome == "fault"
+    assert "joint 'j1': servo 2" in str(played.result.error)
+    assert "(O)" in str(played.result.error)
+    assert not [line for line in played.lines(after_ns=0) if re.match(rb"#\d+D", line)]
 
 
 def test_a_servo_of_the_same_settings_goes_on_with_them(stage, kit):

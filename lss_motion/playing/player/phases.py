@@ -17,6 +17,7 @@ from lss_motion.playing.player.events import Phase, PhaseEntered, Warned
 from lss_motion.playing.player.faults import FaultHandler, Verdict
 from lss_motion.playing.player.handshake import Preparation, SettingsDialogue
 from lss_motion.playing.player.preflight import Preflight
+from lss_motion.playing.player.query_tracker import AWAY_NS
 from lss_motion.playing.player.repertoire import PresentShow, Start
 from lss_motion.playing.player.session import COUNT_IN_NS, Arrival
 from lss_motion.units import ns_from_s, s_from_ns
@@ -156,6 +157,8 @@ class PhaseMachine:
         self._must_ask = must_ask
         self._approaches = 0
         self._preparation = Preparation()
+        self._ready_ns = 0
+        """When a person was asked to start."""
         self._asked_ns = 0
         """When the servos were asked last where they stand after an approach."""
         self._arrived_ns: int | None = None
@@ -364,6 +367,7 @@ class PhaseMachine:
             return
         self.present.hold_at(self.session.standing_deg)
         if self._must_ask:
+            self._ready_ns = self.now_ns
             self._enter(Phase.READY)
         else:
             self.prepare()
@@ -378,6 +382,19 @@ class PhaseMachine:
             self._approach(now_ns)
         else:
             self.prepare(is_repeated=self.phase is Phase.PREPARE)
+
+    def go(self) -> None:
+        """Begin to move, as a person wants it.
+
+        Nothing was asked of the servos while the person was waited for. If that took long enough to
+        exchange one, they are compared with what they were.
+        """
+        if self.now_ns - self._ready_ns < AWAY_NS:
+            self.prepare()
+            return
+        self._preparation = Preparation(self.now_ns, self.session.timeouts)
+        self._enter(Phase.PREPARE)
+        self.dialogue = self.session.proof(self.session.driven, {})
 
     def prepare(self, *, is_repeated: bool = False) -> None:
         self.has_set, self._approaches = True, 0

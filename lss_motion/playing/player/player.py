@@ -298,7 +298,7 @@ class Player:
     def go(self) -> None:
         """Begin to move, if the player waits for that in `Phase.READY`."""
         if self._machine.phase is Phase.READY:
-            self._machine.prepare()
+            self._machine.go()
 
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the rate of the show to `rate`: up to 1; below `RATE_LEAST` it is a pause.
