@@ -48,7 +48,6 @@ ASTRAY_S: Final = 0.3
 ASTRAY_COUNT: Final = 4
 """A leader from which so many frames came over `ASTRAY_S`, none of which fits, is wound."""
 STANDING_COUNT: Final = 3
-DAY_S: Final = 86400.0
 SOURCES_NAMED_MAX: Final = 8
 
 
@@ -101,9 +100,9 @@ packets."""
 
 
 class Chase:
-    """Follows one leader. Positions are relative to `offset_s`, the start of the show, by day."""
+    """Follows one leader. Positions are seconds from the start of the show."""
 
-    def __init__(self, style: Style, *, freewheel_s: float = 2.0, offset_s: float = 0.0) -> None:
+    def __init__(self, style: Style, *, freewheel_s: float = 2.0) -> None:
         self.state = State.SEARCHING
         self.rate = 1.0
         """Of the leader, as fitted."""
@@ -113,7 +112,6 @@ class Chase:
         """Observations that did not fit, or came from another source."""
         self._style = style
         self._freewheel_ns = ns_from_s(freewheel_s)
-        self._offset_s = offset_s
         self._points: deque[Observation] = deque()
         self._chain: list[Observation] = []
         self._last: Observation | None = None
@@ -135,10 +133,6 @@ class Chase:
             self.ignored += 1
             return
         self._received_ns = observation.instant_ns
-        position_s = observation.position_s - self._offset_s
-        if abs(position_s) > 0.5 * DAY_S:  # A show may pass midnight.
-            position_s = (position_s + 0.5 * DAY_S) % DAY_S - 0.5 * DAY_S
-        observation = observation._replace(position_s=position_s)
         before, self._last = self._last, observation
         if before is not None and observation.instant_ns < before.instant_ns:
             self.ignored += 1

@@ -13,7 +13,14 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.stage.timecode import packets
-from lss_motion.stage.timecode.timecode import CODED, FPS_25, Rate, read_rate, read_timecode
+from lss_motion.stage.timecode.timecode import (
+    CODED,
+    FPS_25,
+    Rate,
+    Start,
+    read_rate,
+    read_timecode,
+)
 
 FollowKind = Literal["ltc", "mtc", "artnet", "fpp"]
 SendKind = Literal["ltc", "mtc", "artnet", "fpp", "osc"]
@@ -35,8 +42,7 @@ class FollowSpec(Struct, frozen=True, kw_only=True):
     allowed: tuple[str, ...] = (LOOPBACK,)
     rate: Rate | None = None
     """None: as measured or labelled."""
-    offset_s: float = 0.0
-    """The timecode at which the show begins."""
+    start: Start = Start()
     freewheel_s: float = 2.0
 
     @property
@@ -65,6 +71,7 @@ def read_follow(
     if word not in get_args(FollowKind):
         raise InputError(f"{text!r} is no source of timecode; give {FOLLOW_WORDS}")
     kind = cast("FollowKind", word)
+    chosen = None if rate is None else read_rate(rate)
     is_network = kind in ("artnet", "fpp")
     if kind == "fpp" and rate is not None:
         raise InputError("FPP sends seconds: a frame rate has no meaning with it")
@@ -72,8 +79,8 @@ def read_follow(
         kind=kind,
         name="" if is_network else rest,
         allowed=_allowed(rest) if is_network and rest else (LOOPBACK,),
-        rate=None if rate is None else read_rate(rate),
-        offset_s=read_offset(offset),
+        rate=chosen,
+        start=read_start(offset, chosen),
         freewheel_s=freewheel_s,
     )
 
@@ -91,13 +98,17 @@ def read_send(text: str, *, rate: str | None = None, offset: str | float = 0.0) 
     port = {"artnet": packets.ARTNET_PORT, "fpp": packets.FPP_PORT}.get(kind, 0)
     if kind in ("artnet", "fpp", "osc"):
         rest, port = _address(text, rest, port)
-    return SendSpec(kind=kind, name=rest, port=port, rate=chosen, offset_s=read_offset(offset))
+    start = read_start(offset, chosen)
+    return SendSpec(kind=kind, name=rest, port=port, rate=chosen, offset_s=start.at_s(chosen))
 
 
-def read_offset(value: str | float) -> float:
-    """Return seconds from midnight: of a number, or of HH:MM:SS:FF. Raises `InputError`."""
+def read_start(value: str | float, rate: Rate | None = None) -> Start:
+    """Return the start that a number of seconds, or HH:MM:SS:FF, names; raises `InputError`."""
     if isinstance(value, str) and ":" in value:
-        return read_timecode(value).at_s(FPS_25)
+        label = read_timecode(value)
+        if rate is not None and not label.is_valid(rate):
+            raise InputError(f"there is no frame {value} at {rate.name} frames a second")
+        return Start(label=label)
     try:
         seconds = float(value)
     except ValueError:
@@ -106,7 +117,7 @@ def read_offset(value: str | float) -> float:
         raise InputError(
             f"{value!r} is no start in timecode; write HH:MM:SS:FF, as in 01:00:00:00, or seconds"
         )
-    return seconds
+    return Start(seconds)
 
 
 def _allowed(text: str) -> tuple[str, ...]:

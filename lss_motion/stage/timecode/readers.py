@@ -1,7 +1,7 @@
 """From bytes and sound of one way of transport to observations for the chase; pure.
 
 Each reader chooses the frame rate, unless it is given: that of the label, or of LTC the measured
-one, where the rate is not coded.
+one, where the rate is not coded. Positions are seconds from the start of the show.
 """
 
 from __future__ import annotations
@@ -12,7 +12,14 @@ from lss_motion.stage.timecode import packets
 from lss_motion.stage.timecode.chase import Observation
 from lss_motion.stage.timecode.ltc import LtcDecoder
 from lss_motion.stage.timecode.mtc import MtcDecoder
-from lss_motion.stage.timecode.timecode import FPS_24, FPS_25, FPS_29_97, FPS_29_97_DROP, FPS_30
+from lss_motion.stage.timecode.timecode import (
+    FPS_24,
+    FPS_25,
+    FPS_29_97,
+    FPS_29_97_DROP,
+    FPS_30,
+    Start,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -28,6 +35,7 @@ if TYPE_CHECKING:
 NEAR_RATIO: Final = 0.08
 """A measured rate that is nearer to one of the known ones is taken for it. 24 and 25 are 4 % apart,
 so the nearest counts; beyond, the tape is wound."""
+FROM_MIDNIGHT: Final = Start()
 SETTLED: Final = 4
 """So many frames in a row must be of another rate before the rate is changed."""
 
@@ -52,10 +60,13 @@ def of_label(coded: Rate, wanted: Rate | None, say: Say, way: str) -> Rate | Non
 class LtcReader:
     """Observations from sound. `instant_ns` of a sample is given with each block."""
 
-    def __init__(self, rate_hz: int, wanted: Rate | None, say: Say) -> None:
+    def __init__(
+        self, rate_hz: int, wanted: Rate | None, say: Say, start: Start = FROM_MIDNIGHT
+    ) -> None:
         self.decoder = LtcDecoder(rate_hz)
         self.frames = 0
         self._rate_hz, self._wanted, self._say = rate_hz, wanted, say
+        self._start = start
         self._rate: Rate | None = None
         self._other = 0
 
@@ -71,7 +82,7 @@ class LtcReader:
             number = frame.timecode.frame(rate) + (0 if frame.is_reverse else 1)
             direction = -1 if frame.is_reverse else 1
             instant_ns = round(instant_of(frame.at))
-            yield Observation(instant_ns, number / rate.frames_per_s, direction)
+            yield Observation(instant_ns, self._start.show_s(number, rate), direction)
 
     def _rate_of(self, frame: LtcFrame) -> Rate | None:
         measured = self._rate_hz / frame.frame_samples
@@ -92,9 +103,9 @@ class LtcReader:
 class MtcReader:
     """Observations from MIDI messages."""
 
-    def __init__(self, wanted: Rate | None, say: Say) -> None:
+    def __init__(self, wanted: Rate | None, say: Say, start: Start = FROM_MIDNIGHT) -> None:
         self._decoder = MtcDecoder()
-        self._wanted, self._say = wanted, say
+        self._wanted, self._say, self._start = wanted, say, start
 
     def take(self, message: bytes, instant_ns: int) -> Iterator[Observation]:
         """Yield what is known with this message."""
@@ -103,14 +114,15 @@ class MtcReader:
             if rate is None or not reading.timecode.is_valid(rate):
                 continue
             frames = reading.timecode.frame(rate) + reading.past_frames
-            yield Observation(reading.instant_ns, frames / rate.frames_per_s, reading.direction)
+            position_s = self._start.show_s(frames, rate)
+            yield Observation(reading.instant_ns, position_s, reading.direction)
 
 
 class ArtNetReader:
     """Observations from UDP packets, each with the name of its source."""
 
-    def __init__(self, wanted: Rate | None, say: Say) -> None:
-        self._wanted, self._say = wanted, say
+    def __init__(self, wanted: Rate | None, say: Say, start: Start = FROM_MIDNIGHT) -> None:
+        self._wanted, self._say, self._start = wanted, say, start
 
     def take(
         self, packet: bytes, address: str, instant_ns: int
@@ -123,13 +135,15 @@ class ArtNetReader:
         if rate is None or not reading.timecode.is_valid(rate):
             return
         source = f"{address} stream {reading.stream}" if reading.stream else address
-        yield Observation(instant_ns, reading.timecode.at_s(rate)), source
+        position_s = self._start.show_s(reading.timecode.frame(rate), rate)
+        yield Observation(instant_ns, position_s), source
 
 
 class FppReader:
     """Observations from UDP packets of a Falcon Player. Sequences count, or else media."""
 
-    def __init__(self) -> None:
+    def __init__(self, start: Start = FROM_MIDNIGHT) -> None:
+        self._start = start
         self._has_sequence = False
 
     def take(
@@ -143,4 +157,5 @@ class FppReader:
         if self._has_sequence and reading.kind != "sequence":
             return
         direction = 0 if reading.action == "stop" else 1
-        yield Observation(instant_ns, reading.seconds, direction), f"{address} {reading.name}"
+        position_s = self._start.show_s(reading.seconds * FPS_25.frames_per_s, FPS_25)
+        yield Observation(instant_ns, position_s, direction), f"{address} {reading.name}"

@@ -121,7 +121,7 @@ class SoundSource:
             )
             rate_hz = round(self._stream.samplerate)
             self._clock = DeviceClock(rate_hz)
-            self._reader = LtcReader(rate_hz, spec.rate, say)
+            self._reader = LtcReader(rate_hz, spec.rate, say, spec.start)
             self._stream.start()
         except NoDeviceError as error:
             raise SourceError(str(error)) from error
@@ -166,7 +166,7 @@ class MidiSource:
 
     def __init__(self, spec: FollowSpec, say: Any) -> None:  # noqa: ANN401
         self._messages: queue.Queue[tuple[bytes, int]] = queue.Queue(QUEUE_MAX)
-        self._reader = MtcReader(spec.rate, say)
+        self._reader = MtcReader(spec.rate, say, spec.start)
         self._name = spec.name
         self._device: Any = None
         try:
@@ -224,7 +224,7 @@ class PacketSource:
     def __init__(self, spec: FollowSpec, say: Any) -> None:  # noqa: ANN401
         is_fpp = spec.kind == "fpp"
         self._reader: ArtNetReader | FppReader
-        self._reader = FppReader() if is_fpp else ArtNetReader(spec.rate, say)
+        self._reader = FppReader(spec.start) if is_fpp else ArtNetReader(spec.rate, say, spec.start)
         self._allowed = [ipaddress.IPv4Network(text, strict=False) for text in spec.allowed]
         self._known: dict[str, bool] = {}
         port = packets.FPP_PORT if is_fpp else packets.ARTNET_PORT
@@ -287,7 +287,7 @@ def main(pipe: MessagePipe, words: str) -> int:
     """Read until the pipe ends."""
     spec = msgspec.json.decode(words, type=FollowSpec)
     typed: TypedPipe[None] = TypedPipe(pipe)
-    chased = Chase(STYLES[spec.kind], freewheel_s=spec.freewheel_s, offset_s=spec.offset_s)
+    chased = Chase(STYLES[spec.kind], freewheel_s=spec.freewheel_s)
     try:
         source: Source = SOURCES[spec.kind](spec, chased.say)
     except SourceError as failed:

@@ -101,6 +101,29 @@ def timecode_of(frame: int, rate: Rate) -> Timecode:
     return Timecode(hours, minutes, seconds, frames)
 
 
+class Start(Struct, frozen=True):
+    """The timecode at which a show begins: a label, or seconds from midnight.
+
+    A label is seconds only at a rate, which may be known no sooner than with the first frame.
+    """
+
+    seconds: float = 0.0
+    label: Timecode | None = None
+    """Counts, if it is given."""
+
+    def at_s(self, rate: Rate) -> float:
+        """Return the start, in seconds from midnight."""
+        return self.seconds if self.label is None else self.label.at_s(rate)
+
+    def show_s(self, frames: float, rate: Rate) -> float:
+        """Return the show time at so many frames from midnight; a show may pass midnight."""
+        day = rate.frames_per_day
+        frames -= self.at_s(rate) * rate.frames_per_s
+        if abs(frames) > 0.5 * day:
+            frames = (frames + 0.5 * day) % day - 0.5 * day
+        return frames / rate.frames_per_s
+
+
 _TIMECODE: Final = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[:;.](\d{1,2}))?")
 
 

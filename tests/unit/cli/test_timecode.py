@@ -7,6 +7,7 @@ import pytest
 from lss_motion.cli.play import make_parser
 from lss_motion.cli.timecode import specs_of
 from lss_motion.errors import InputError
+from lss_motion.stage.timecode.timecode import FPS_25, RATES, Timecode
 
 
 def specs(*words):
@@ -19,7 +20,8 @@ def test_what_is_followed_and_sent_is_read():
         *["--send", "ltc:USB", "--send", "osc:10.0.0.9:8000", "--freewheel", "5"],
     )
     assert (follow.kind, follow.allowed, follow.freewheel_s) == ("artnet", ("10.0.0.4",), 5.0)
-    assert follow.offset_s == pytest.approx(3600.4)
+    assert follow.start.at_s(FPS_25) == pytest.approx(3600.4)
+    assert sends[0].offset_s == pytest.approx(3600.4)
     assert not follow.is_loopback
     assert [(one.kind, one.name, one.port) for one in sends] == [
         ("ltc", "USB", 0),
@@ -27,6 +29,15 @@ def test_what_is_followed_and_sent_is_read():
     ]
     assert specs("--follow", "ltc")[0].is_loopback
     assert specs() == (None, [])
+
+
+@pytest.mark.parametrize("rate", ["23.976", "24", "25", "29.97", "29.97df", "30"])
+def test_a_label_at_which_a_show_begins_is_that_frame_at_every_rate(rate):
+    words = ["--offset-s", "01:00:00:20", "--rate-fps", rate, "--send", "ltc"]
+    follow, (send,) = specs("--follow", "ltc", *words)
+    first = Timecode(1, 0, 0, 20).frame(RATES[rate])
+    assert follow.start.show_s(first, RATES[rate]) == pytest.approx(0.0, abs=1e-9)
+    assert send.offset_s * RATES[rate].frames_per_s == pytest.approx(first)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +53,7 @@ def test_what_is_followed_and_sent_is_read():
         (["--follow", "artnet:desk"], "no address"),
         (["--send", "artnet"], "names no address"),
         (["--send", "mtc", "--rate-fps", "23.976"], "cannot name"),
+        (["--follow", "ltc", "--rate-fps", "25", "--offset-s", "1:0:0:29"], "no frame"),
         (["--rate-fps", "25"], "--rate-fps and --offset-s"),
     ],
 )

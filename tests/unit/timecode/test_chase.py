@@ -11,7 +11,15 @@ from lss_motion.stage.timecode import chase
 from lss_motion.stage.timecode.chase import Chase, Observation, State
 from lss_motion.stage.timecode.ltc import levels, sound_of
 from lss_motion.stage.timecode.readers import ArtNetReader, FppReader, LtcReader, MtcReader
-from lss_motion.stage.timecode.timecode import FPS_23_976, FPS_24, FPS_25, FPS_30, Timecode
+from lss_motion.stage.timecode.timecode import (
+    FPS_23_976,
+    FPS_24,
+    FPS_25,
+    FPS_29_97,
+    FPS_30,
+    Start,
+    Timecode,
+)
 
 FRAME_NS = 40_000_000
 
@@ -153,9 +161,10 @@ def test_an_hour_with_a_drifting_clock_stays_within_a_tenth_of_a_millisecond():
 
 
 def test_a_show_begins_at_its_offset_also_across_midnight():
-    chased = Chase(chase.LTC, offset_s=86390.0)
+    chased, start = Chase(chase.LTC), Start(86390.0)
     for number in range(400):
-        chased.take(Observation(number * FRAME_NS, (86388.0 + 0.04 * number) % 86400.0), "")
+        frame = (86388 * 25 + number) % FPS_25.frames_per_day
+        chased.take(Observation(number * FRAME_NS, start.show_s(frame, FPS_25)), "")
     leg = chased.take_legs()[-1]
     assert leg.at_s(399 * FRAME_NS) == pytest.approx(0.04 * 399 - 2.0, abs=1e-6)
 
@@ -185,6 +194,16 @@ def test_the_rate_of_ltc_is_measured_and_a_wrong_one_is_said():
     assert found[-1].position_s - 3603.6 == pytest.approx(found[-1].instant_ns / 1e9, abs=1e-4)
 
 
+def test_the_label_at_which_a_show_begins_is_read_at_the_rate_of_the_frames():
+    start = Start(label=Timecode(1, 0, 0, 29))
+    for rate, code in ((FPS_30, 3), (FPS_29_97, 3)):
+        wanted = None if rate is FPS_30 else rate
+        reader = ArtNetReader(wanted, [].append, start)
+        packet = b"Art-Net\0\x00\x97\x00\x0e\x00\x00" + bytes((29, 0, 0, 1, code))
+        ((observation, _),) = reader.take(packet, "desk", 5)
+        assert observation.position_s == pytest.approx(0.0, abs=1e-9)
+
+
 def test_ltc_is_read_after_noise_silence_and_other_speeds():
     luck = np.random.default_rng(2)
     slow = levels(90000 + 25 * np.arange(0, 0.5, 0.8 / 48000), FPS_25)
@@ -202,7 +221,7 @@ def test_readers_of_messages_say_a_wrong_rate_and_take_no_garbage():
     assert list(reader.take(packet, "10.0.0.1", 5)) == []
     assert "comes with 30 frames" in said[0]
     assert list(ArtNetReader(None, said.append).take(packet, "10.0.0.1", 5)) == [
-        (Observation(5, 23 * 3600 + 9 * 60 + 59 + 2 / 30), "10.0.0.1")
+        (Observation(5, pytest.approx(-50 * 60 - 1 + 2 / 30)), "10.0.0.1")
     ]
     assert list(FppReader().take(b"FPPD", "10.0.0.1", 5)) == []
     assert list(MtcReader(None, said.append).take(b"\xf1", 5)) == []
