@@ -116,8 +116,10 @@ ROWS: Final = (
         needs_reset=False,
         sets_session=True,
         suffix_is_delay=False,
+        outside=Outside.TAKEN,
         note="The defaults are 207 (master), 203 to 205 (A3 to A5) and 209 to 211 (D9 to D11). A"
-        " new id acts at once; this is assumed, because no RESET is required.",
+        " new id acts at once; this is assumed, because no RESET is required. The board takes ids"
+        " beyond 250, too (FACTS B1).",
     ),
     replace(
         _LSS("QB"),

@@ -236,16 +236,13 @@ class Board:
     def obey(self, pin: Pin, command: Command, now_ns: int) -> Reply | None:
         """Execute a command on one pin; return the reply to a query.
 
-        A pin ignores commands that it does not have, and broadcast queries.
+        A pin ignores commands that it does not have, and broadcast queries but QMS.
         """
-        is_broadcast = command.servo_id == BROADCAST_ID
         found = IO2_TABLE.by_keyword.get(command.keyword)
         if found is None:
             return None
         form, row = found
         if row.devices and pin.device not in row.devices:
-            return None
-        if is_broadcast and form is Form.CONFIG:
             return None
         value = command.value if isinstance(command.value, int) else None
         if form is Form.QUERY:

@@ -35,12 +35,16 @@ DIALOGUES = {
         "#210CID203 #211CID203 #203QMS=LSS-2IO-D10 #203D450 1s @0:0 @1:45 @2:0",
     "a pin with id 0 acts and answers its model only":
         "#209CID0 #0D450 1s @45 #0QD= #0QID= #0QMS=LSS-2IO-D9",
-    "no broadcast changes what is stored":
-        "#254CG-1 #207RESET 0.05s #209QG=1 #207QLED=0 #207QB=115200 #209QID=209 #254CLED5 "
-        "#207RESET 0.05s #209QG=1 #207QLED=0 #207QB=115200 #209QID=209 #254CB9600 #207RESET 0.05s "
-        "#209QG=1 #207QLED=0 #207QB=115200 #209QID=209 #254CID9 #207RESET 0.05s #209QG=1 "
-        "#207QLED=0 #207QB=115200 #209QID=209 #254CA4 #207RESET 0.05s #209QG=1 #207QLED=0 "
-        "#207QB=115200 #209QID=209",
+    "a broadcast changes what is stored of each pin that has the setting":
+        "#254CLED6 #207QLED=6 #254CG-1 #209QG=-1 #203QG=-1 #207QG=-1 #207RESET 0.05s #207QLED=6 "
+        "#210QG=-1 #204QG=-1 #207QB=115200",
+    "a broadcast changes the rate": "#254CB9600 #207QB=",
+    "a broadcast changes the mode of analog pins":
+        "#254CA4 #203QA=,1500,1500,1500,1500,1500,1500,1500,1500 #209QA= #207RESET 0.05s "
+        "#205QA=,1500,1500,1500,1500,1500,1500,1500,1500",
+    "a broadcast gives all pins one id, and the first answers":
+        "#254CID9 #9QMS=LSS-2IO-D9 #209QMS= #207QLED=",
+    "an id beyond the page is taken": "#209CID251 #209QMS= #251QMS=LSS-2IO-D9",
     "a baud rate counts at once":
         "#207QB=115200 #207CB921600 #207QB=115200 #209CB9600 #207QB=115200 #207CB9600 #207QB=",
     "a reset keeps what was configured and forgets the rest":
