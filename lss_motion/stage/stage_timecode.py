@@ -162,6 +162,8 @@ class StageTimecode:
             if self._is_lost:
                 director.take_timecode(None, 0.0, now_ns)
                 self._wait_without(director, now_ns)
+        if self.following is not None and self.following.is_over:
+            director.leave(self.number, now_ns)
         self._texts += () if self._legs is None else self._legs.take_texts()
         after = self._state(now_ns)
         if after != before and State.SEARCHING.value not in (after, before):

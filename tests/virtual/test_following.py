@@ -9,6 +9,8 @@ from lss_motion.planning import shows
 from lss_motion.playing.player.events import Phase, PhaseEntered
 from lss_motion.playing.player.following import SLOW_RATE, Following, FollowRule, Step
 from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.remote.schema import Follow
+from lss_motion.stage.timecode.source import FollowControls
 
 S = 1_000_000_000
 LEG_NS = S // 10
@@ -251,6 +253,65 @@ def test_a_drop_out_is_bridged_and_a_loss_is_said(stage, robot, show, lost):
     assert ("seeking" in phases(played)) is (lost == "hold")
     assert np.abs(leader.off_s(13.5)).max() < 2e-3
     assert_limits_hold(played, robot)
+
+
+@pytest.mark.parametrize("lost", ["go_on", "hold"])
+def test_a_leader_that_stands_and_is_silent_then_is_lost(stage, robot, show, lost):
+    """As a desk that is paused and then switched off; with `hold` it comes back."""
+
+    def at(s):
+        if s < 7.0 or s > 30.0:
+            return (s - 3.0, 1.0) if s < 7.0 else (s - 26.0, 1.0)
+        return (4.0, 0.0) if s < 8.0 else None
+
+    leader = Leader(at, FollowRule(freewheel_s=2.0, lost=lost))
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == "finished"
+    assert any("no leader for 2 s" in text for text in leader.texts)
+    assert ("the leader is back" in leader.texts) is (lost == "hold")
+    assert ("seeking" in phases(played)) is (lost == "hold")
+    assert_limits_hold(played, robot)
+
+
+def test_a_leader_that_stood_before_the_show_and_is_silent_does_not_begin_it(stage, robot, show):
+    leader = Leader(lambda s: (-2.0, 0.0) if s < 2.0 else (s - 12.0, 1.0) if s > 10.0 else None)
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == "finished"
+    assert np.abs(leader.off_s(12.0)).max() < 1e-3
+
+
+@pytest.mark.parametrize("lost", ["go_on", "hold"])
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_a_leader_beyond_the_end_that_is_gone_ends_the_show(stage, robot, show, lost, rate):
+    class Source:
+        """Legs ten times a second for five seconds."""
+
+        def filenos(self):
+            return ()
+
+        def take(self):
+            return legs
+
+        def take_texts(self):
+            return ()
+
+    legs, texts, start_ns = [], [], []
+    controls = FollowControls(
+        Following(FollowRule(freewheel_s=2.0, lost=lost)), Source(), tell=texts.append
+    )
+
+    def turn(player, now_ns):
+        start_ns.append(now_ns)
+        seconds = (now_ns - start_ns[0]) / S
+        legs[:] = [Follow(id=1, instant_ns=now_ns, show_s=20.0 + rate * seconds, rate=rate)]
+        if seconds > 5.0:
+            legs.clear()
+        controls.act(player, now_ns)
+        return False
+
+    played = stage.play(robot, show, wishes=[(turn, None)])
+    assert played.report.outcome == "stopped"
+    assert texts[-1] == "no leader for 2 s: it was beyond the end of the show, which ends"
 
 
 def test_a_person_may_pause_and_the_show_rejoins(stage, robot, show):

@@ -171,6 +171,17 @@ def test_cues_fire_at_their_timecode_and_shows_stay_in_step_through_gaps_and_jum
     assert (last["state"], last["source"], last["show"]) == ("lost", "ltc", None)
 
 
+def test_a_show_whose_timecode_stands_and_then_is_silent_goes_on_and_ends(tmp_path):
+    planned = planned_in(tmp_path, "go_on")
+
+    def at(seconds):
+        return (min(seconds, 14.0), float(seconds < 14.0)) if seconds < 15.0 else None
+
+    evening = Evening(planned, at, 55.0)
+    assert evening.over == ["idle left", "dance finished", "idle stopped"]
+    assert "timecode: no leader for 2 s: the show goes on" in evening.texts
+
+
 def test_a_show_begins_in_step_where_the_timecode_comes_to_its_beginning(tmp_path):
     """The horn waits at the start; the first moves leave in time, also after a stand before it."""
     planned = planned_in(tmp_path, "go_on")

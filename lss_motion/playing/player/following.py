@@ -23,13 +23,13 @@ from msgspec import Struct
 from lss_motion.errors import InputError
 from lss_motion.playing.player.approach import approach_s
 from lss_motion.playing.player.events import Phase, PlayerRequest, note_nowhere
+from lss_motion.playing.player.show_clock import Leg
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.planning.program.model import Program
-    from lss_motion.playing.player.show_clock import Leg
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.robot.model import Robot
 
@@ -160,6 +160,8 @@ class Following:
         """As the player was last asked for."""
         self._is_paused = False
         self._is_lost = self._is_beyond = False
+        self.is_over = False
+        """The leader is gone, and was beyond the end of the show: nothing is left to play."""
         self._slack_s = FIRST_SLACK_S
         self._place_s = place_s
         """Where an approach ends, while it is under way."""
@@ -173,7 +175,7 @@ class Following:
         """Note where the leader is. One whose instant is to come stands there until then."""
         if self._is_lost:
             self._say("back", "the leader is back")
-        self._is_new, self._is_lost = True, False
+        self._is_new, self._is_lost, self.is_over = True, False, False
         self._led_ns = max(now_ns, leader.instant_ns)
         before = self._leader
         is_ahead = leader.instant_ns > now_ns
@@ -216,7 +218,7 @@ class Following:
         if before is Step.WAITING:
             self._say_once("waits for its leader")
         self._take_coming(player, show, now_ns)
-        leader = self._running_leader(now_ns)
+        leader = self._running_leader(player, show, now_ns)
         if leader is None:
             self._hold(player, show, now_ns)
         elif show.clock.target_rate > 0.0:
@@ -242,7 +244,7 @@ class Following:
         if now_ns >= coming.instant_ns:
             self._leader, self._coming = coming, None
 
-    def _running_leader(self, now_ns: int) -> Leg | None:
+    def _running_leader(self, player: Followed, show: Streamer, now_ns: int) -> Leg | None:
         """Return the leader, if the show has to run or to begin with it."""
         leader = self._leader
         if leader is None or self._is_paused:
@@ -250,13 +252,25 @@ class Following:
         freewheel_s = self.rule.freewheel_s
         silent_ns = now_ns - self._led_ns
         if freewheel_s is not None and silent_ns > ns_from_s(freewheel_s):
+            is_standing = show.clock.target_rate <= 0.0
+            is_beyond = self._is_beyond or leader.show_s >= player.program.duration_s
+            self.is_over = is_standing and is_beyond
             if not self._is_lost:
                 self._is_lost = True
                 does = "the show goes on" if self.rule.lost == "go_on" else "the robot holds"
+                does = "it was beyond the end of the show, which ends" if self.is_over else does
                 self._say("lost", f"no leader for {freewheel_s:g} s: {does}")
-            if self.rule.lost == "hold":
+            if self.is_over or self.rule.lost == "hold":
                 return None
+            has_begun = show.show_s(now_ns) >= show.begin_s
+            if has_begun and self.rule.speed_of(leader) == 0.0 and show.is_standing(now_ns):
+                self._leader = leader = self._alone(show, now_ns)
         return None if self.rule.speed_of(leader) == 0.0 else leader
+
+    def _alone(self, show: Streamer, now_ns: int) -> Leg:
+        """Return a leader with which the show goes on from where it stands, now."""
+        before_s = 0.5 * show.ramp_over_s(1.0, now_ns)
+        return Leg(now_ns, show.show_s(now_ns) - before_s, 1.0)
 
     def _hold(self, player: Followed, show: Streamer, now_ns: int) -> None:
         """Stand: at once before the start, else after braking."""
@@ -378,11 +392,12 @@ class Following:
         if rate == self._rate:
             return
         self._rate = rate
+        self._is_beyond = self._is_beyond and rate == 0.0
         self.note_request(PlayerRequest("rate", (rate,)), now_ns)
         player.set_rate(rate, now_ns)
 
     def _run_from(self, player: Followed, show_s: float, now_ns: int) -> None:
-        self._rate = 1.0
+        self._rate, self._is_beyond = 1.0, False
         self.note_request(PlayerRequest("run_from", (show_s,)), now_ns)
         player.run_from(show_s, now_ns)
 

@@ -156,9 +156,9 @@ class Chase:
         silent_ns = now_ns - self._good_ns
         if self.state is State.LOCKED and silent_ns > ns_from_s(self._style.gap_s):
             self._enter(State.FREEWHEELING)
-        is_held = self.state in (State.REVERSE, State.OFF_SPEED)
-        if is_held and now_ns - self._received_ns > self._freewheel_ns:
+        if self.state in HELD and now_ns - self._received_ns > self._freewheel_ns:
             self._enter(State.LOST)
+            self._forget()
         if self.state is State.FREEWHEELING and silent_ns > self._freewheel_ns:
             self._enter(State.LOST)
             self._forget()
@@ -328,8 +328,9 @@ class Chase:
         self.state = state
 
     def _add_due_leg(self, now_ns: int) -> None:
-        every_ns = STANDING_LEG_NS if self.state in HELD else LEG_NS
-        has_legs = self.state is State.LOCKED or self.state in HELD
+        is_held = self.state in HELD
+        every_ns = STANDING_LEG_NS if is_held else LEG_NS
+        has_legs = self._received_ns > self._leg_ns if is_held else self.state is State.LOCKED
         if has_legs and now_ns - self._leg_ns >= every_ns:
             self._add_leg(now_ns)
 

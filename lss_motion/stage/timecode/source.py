@@ -221,6 +221,9 @@ class FollowControls:
         for leg in self._legs.take():
             self.following.lead(Leg(leg.instant_ns, leg.show_s, leg.rate), now_ns)
         self.following.turn(player, now_ns)
+        if self.following.is_over and player.outcome is None:
+            self.following.note_request(PlayerRequest("stop"), now_ns)
+            player.stop(now_ns)
         for text in (*self._legs.take_texts(), *self.following.take_texts()):
             if self._tell is not None:
                 self._tell(text)

@@ -126,6 +126,24 @@ def test_backward_winding_and_standing_hold():
     assert deck.run(0.2).chase.state is State.LOCKED
 
 
+@pytest.mark.parametrize("state", chase.HELD)
+def test_after_whatever_a_leader_does_silence_ends_in_lost(state):
+    deck = Deck(freewheel_s=2.0).run(2.0)
+    match state:
+        case State.STANDING:
+            deck.run(1.0, step=0.0)
+        case State.REVERSE:
+            deck.run(0.5, rate=-1.0, direction=-1)
+        case _:
+            deck.run(1.0, rate=1.7)
+    assert deck.chase.state is state
+    count = len(deck.legs)
+    deck.run(2.1, is_heard=False)
+    assert deck.chase.state is State.LOST
+    assert len(deck.legs) <= count + 1, "no legs are made up"
+    assert deck.run(0.08).chase.state is State.LOCKED
+
+
 def test_of_two_sources_the_first_is_kept_until_it_is_gone():
     deck = Deck().run(2.0)
     for _ in range(50):
