@@ -1,9 +1,11 @@
 """CSV tables: wide (`time_s,<joint>_deg,…`) and long (`time_s,servo,deg[,ease]`).
 
-The time column is `time_s`, `t_s`, `time` or `t` in seconds, `time_ms` or `t_ms`, or `frame` after
-a line `# fps: N`. Joint columns end in `_deg`, `_rad` or `_us`. A column without an ending is in
-degrees, as in the tables of `lss-motion plan --csv`. The separator is a comma, a semicolon or a
-tab. Decimal commas are allowed if the separator is not a comma. An empty cell sets no key.
+The time column is `time`, `t`, `timestamp` or the like, in seconds, or in the unit of its name; its
+cells may be `hh:mm:ss` or ISO 8601. It may be `frame` after a line `# fps: N`. Units end a name
+(`_deg`, `_rad`, `_us`, `_ms`) or stand in brackets: `elbow (rad)`. A column without a unit is in
+degrees, as in the tables of `lss-motion plan --csv`; a unit that is not known is refused. The
+separator is a comma, a semicolon, a tab or blanks. Decimal commas are allowed if the separator is
+not a comma. An empty cell sets no key. The header may be a comment, as of `numpy.savetxt`.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import csv
 import re
 from array import array
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +21,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
-from lss_motion.interchange.fields import TextLines, is_number, text_head
+from lss_motion.interchange.fields import VALUE_MAX, TextLines, is_number, text_head
 from lss_motion.interchange.reader import (
     DIGITS,
     FPS_MAX,
@@ -34,17 +37,133 @@ from lss_motion.interchange.reader import (
 from lss_motion.show.model import Interpolation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from lss_motion.interchange.reader import FloatArray, IntArray
 
 
-SECONDS: Final = {
-    **dict.fromkeys(["time_s", "t_s", "time", "t", "seconds"], 1.0),
-    **dict.fromkeys(["time_ms", "t_ms"], 1e-3),
+_TIMES: Final = frozenset(
+    {"time", "t", "ts", "timestamp", "timestamps", "time_stamp", "stamp", "datetime", "elapsed",
+     "elapsed_time", "time_elapsed", "epoch", "sec", "secs", "second", "seconds"}
+)  # fmt: skip
+"""Names of a time column, without a unit."""
+
+_TIME_WORDS: Final = frozenset(
+    {"time", "times", "timestamp", "timestamps", "stamp", "datetime", "date", "elapsed", "epoch",
+     "sec", "secs", "seconds", "millis", "micros", "milliseconds", "nsec", "msec", "duration",
+     "delay", "pause", "hold", "frame", "frames"}
+)  # fmt: skip
+"""A name with one of these words is no joint."""
+
+_TIME_UNITS: Final = {
+    **dict.fromkeys(["s", "sec", "secs", "second", "seconds"], 1.0),
+    **dict.fromkeys(["ms", "msec", "msecs", "millis", "millisecond", "milliseconds"], 1e-3),
+    **dict.fromkeys(["us", "µs", "μs", "usec", "micros", "microsecond", "microseconds"], 1e-6),
+    **dict.fromkeys(["ns", "nsec", "nanos", "nanosecond", "nanoseconds"], 1e-9),
+    **dict.fromkeys(["min", "minutes"], 60.0),
 }
-"""Name of a time column → its unit in seconds."""
+"""Unit of a time → seconds."""
+
+_ANGLE_UNITS: Final = {
+    **dict.fromkeys(["deg", "degs", "degree", "degrees", "°"], Unit.DEG),
+    **dict.fromkeys(["rad", "rads", "radian", "radians"], Unit.RAD),
+    **dict.fromkeys(["us", "µs", "μs", "usec", "microsecond", "microseconds"], Unit.US),
+}
+_OTHER_UNITS: Final = frozenset(
+    {"mm", "cm", "mrad", "ticks", "steps", "counts", "turns", "revs", "rpm", "pct", "percent", "%",
+     "mdeg", "ddeg", "cdeg", "dps", "ms", "ns"}
+)  # fmt: skip
+"""Ends of a name that are units, of which none is read."""
+
+_BRACKETS: Final = re.compile(r"[\s_]*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
+_END: Final = re.compile(
+    r"(.*?)(?:[\s_.,/:-]+|(?<=[a-z])(?=Deg|Rad|\u00b0)|(?=\u00b0))"
+    r"((?:deg|rad)\w{0,4}(?:[\s_/]+|_per_)s(?:ec)?\d?|[a-z\u00b0%\u00b5\u03bc]+)",
+    re.IGNORECASE,
+)
+_CLOCK_UNIT: Final = re.compile(
+    r"h{1,2}:m{1,2}:s{1,2}(?:[.,]\w{1,9})?|iso[ -]?(?:8601)?|utc|unix|epoch", re.IGNORECASE
+)
+_CLOCK: Final = re.compile(r"(?:(\d{1,4}):)?([0-5]?\d):([0-5]\d)([.,]\d{1,9})?", re.ASCII)
+_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.{0,24}", re.ASCII)
+
+
+def name_and_unit(name: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit in small letters, or ""."""
+    for found in reversed([*_BRACKETS.finditer(name)]):
+        if not found[1].strip().isdigit():  # A number is an index.
+            return (name[: found.start()] + name[found.end() :]).strip(), found[1].strip().lower()
+    if end := _END.fullmatch(name):
+        base, unit = end[1], end[2].lower()
+        is_time = _plain(base) in _TIMES or not _TIME_WORDS.isdisjoint(_words(base))
+        known = _TIME_UNITS.keys() - {"min"} if is_time else _ANGLE_UNITS.keys() | _OTHER_UNITS
+        if base and (unit in known or re.match(r"(deg|rad)\w*(/|_| )", unit)):
+            return base, unit
+    return name, ""
+
+
+def _plain(name: str) -> str:
+    """Return a name in small letters, without marks of other programs before it: `__time`."""
+    return re.sub(r"[\s-]+", "_", name.strip("_ ./%#").lower())
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
+
+
+def is_time_name(name: str) -> bool:
+    """Return whether a column is about time, and therefore no joint."""
+    base, unit = name_and_unit(name)
+    if _ANGLE_UNITS.get(unit) in {Unit.DEG, Unit.RAD}:
+        return False
+    return _plain(base) in _TIMES or not _TIME_WORDS.isdisjoint(_words(base))
+
+
+def _is_instant(name: str) -> bool:
+    """Return whether a column about time is neither a duration nor a pause."""
+    return re.search(r"duration|after|delay|pause|hold|frames", name, re.IGNORECASE) is None
+
+
+def seconds_of(name: str) -> float | None:
+    """Return the unit of a time column in seconds; None if it is none that is understood."""
+    base, unit = name_and_unit(name)
+    base = _plain(base)
+    if not unit and base in _TIME_UNITS and len(base) > 2:
+        return _TIME_UNITS[base]
+    if base not in _TIMES:
+        return None
+    return 1.0 if not unit or _CLOCK_UNIT.fullmatch(unit) else _TIME_UNITS.get(unit)
+
+
+def seconds_at(
+    lines: TextLines, word: str, number: int, second: float, *, has_commas: bool
+) -> float:
+    """Return a time in seconds: a number of units of `second`, `hh:mm:ss`, or ISO 8601."""
+    word = word.strip()
+    if second == 1.0:
+        clock = _CLOCK.fullmatch(word)
+        if clock is not None and (clock[1] or clock[4]):
+            whole_s = 3600 * int(clock[1] or 0) + 60 * int(clock[2]) + int(clock[3])
+            return round(whole_s + float("0" + (clock[4] or ".0").replace(",", ".")), DIGITS)
+        if _DATE.fullmatch(word):
+            try:
+                at = datetime.fromisoformat(word)
+            except ValueError:
+                lines.refuse(number, f"{word!r:.60} is no time of ISO 8601")
+            return round((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp(), DIGITS)
+    if ":" in word or "/" in word:
+        lines.refuse(number, f"time {word!r:.60} is not understood; write seconds, or hh:mm:ss")
+    if is_number(word, has_commas=has_commas):
+        at_s = float(word.replace(",", ".")) * second
+        if second < 1.0 and abs(at_s) < VALUE_MAX:
+            return round(at_s, DIGITS)
+        if abs(at_s) >= VALUE_MAX:
+            lines.refuse(
+                number, f"{word!r:.60} is out of range for seconds: give the unit, `time_ns`"
+            )
+    return round(lines.number(word, number, has_commas=has_commas) * second, DIGITS)
+
 
 FRAME: Final = "frame"
 _FPS: Final = re.compile(r"#\s*fps\s*[:=]\s*(\d{1,4}(?:\.\d{1,6})?)\s*", re.IGNORECASE | re.ASCII)
@@ -69,8 +188,11 @@ class CsvRows(Struct, frozen=True):
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield line number and cells of every row; a row has as many cells as the header."""
+        is_blank = self.delimiter == " "
         text = self.lines.text.split("\n")[self.first_row :]
-        reader = csv.reader(text, delimiter=self.delimiter)
+        if is_blank:
+            text = [" ".join(line.split()) for line in text]
+        reader = csv.reader(text, delimiter=self.delimiter, skipinitialspace=is_blank)
         try:
             for row in reader:
                 if (
@@ -94,20 +216,23 @@ class CsvRows(Struct, frozen=True):
 
     def time_column(self) -> tuple[int, float]:
         """Return the index of the time column, and its unit in seconds."""
-        names = [name.lower() for name in self.header]
-        at = next((at for at, n in enumerate(names) if n in SECONDS or n == FRAME), None)
-        if at is None:
+        for at, name in enumerate(self.header):
+            second = seconds_of(name)
+            if second is not None:
+                return at, second
+        frames = [at for at, name in enumerate(self.header) if name.lower() == FRAME]
+        if not frames:
+            like = [name for name in self.header if is_time_name(name)]
             self.lines.refuse(
                 self.header_line,
-                f"no column is the time; name it {', '.join(SECONDS)} or {FRAME}, in a header line",
+                f"no column is the time; name it time_s, time_ms, time or {FRAME}, in a header line"
+                + (f"; {like[0]!r:.60} is not understood" if like else ""),
             )
-        if names[at] != FRAME:
-            return at, SECONDS[names[at]]
         if self.fps is None:
             self.lines.refuse(
                 self.header_line, "frames need their rate: put a line `# fps: 24` on top"
             )
-        return at, 1.0 / self.fps
+        return frames[0], 1.0 / self.fps
 
 
 def delimiter_of(line: str) -> str:
@@ -115,7 +240,47 @@ def delimiter_of(line: str) -> str:
     for mark in ";\t":  # The commas of a line without names may be decimal signs.
         if mark in line and all(is_number(w.strip(), has_commas=True) for w in line.split(mark)):
             return mark
-    return max(",;\t", key=line.count)
+    mark = max(",;\t", key=line.count)
+    return mark if mark in line or " " not in line.strip() else " "
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line."""
+    if delimiter == " ":
+        line = re.sub(r"\s+(?=[(\[])", "", line.strip())
+    rows = csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == " ")
+    return [cell.strip() for cell in next(rows, [])]
+
+
+def header_of(rows: Iterable[tuple[int, str]]) -> tuple[int, list[str], str, int] | None:
+    """Return the header, with its line, its delimiter, and the number of lines above the rows.
+
+    A comment above a line of numbers is the header if it has as many cells.
+    """
+    comment: tuple[int, str] | None = None
+    for number, line in rows:
+        if line.startswith("#"):
+            comment = number, line.lstrip("#").strip()
+            continue
+        delimiter = delimiter_of(line)
+        header = cells_of(line, delimiter)
+        if comment is not None and len(header) > 1 and _are_values(header, delimiter):
+            names = cells_of(comment[1], delimiter)
+            if len(names) == len(header) and not any(is_number(name) for name in names):
+                return comment[0], names, delimiter, number - 1
+        return number, header, delimiter, number
+    return None
+
+
+def _are_values(cells: list[str], delimiter: str) -> bool:
+    """Return whether all cells are numbers or times."""
+    return all(
+        not cell
+        or is_number(cell, has_commas=delimiter != ",")
+        or _CLOCK.fullmatch(cell)
+        or _DATE.fullmatch(cell)
+        for cell in cells
+    )
 
 
 def csv_rows(lines: TextLines) -> CsvRows:
@@ -124,30 +289,26 @@ def csv_rows(lines: TextLines) -> CsvRows:
     Names of columns differ, except where the first line has none but numbers.
     """
     fps: float | None = None
-    found: tuple[int, str] | None = None
     for number, line in lines.numbered():
+        if not line.startswith("#"):
+            break
         if match := _FPS.fullmatch(line):
             fps = float(match[1])
             if not 0.0 < fps <= FPS_MAX:
                 lines.refuse(number, f"fps {fps:g} must be more than 0 and at most {FPS_MAX:g}")
-        if not line.startswith("#"):
-            found = number, line
-            break
+    try:
+        found = header_of(lines.numbered())
+    except csv.Error as error:
+        raise InputError(f"no table: {error}", path=lines.path) from error
     if found is None:
         lines.refuse(None, "has no header line")
-    number, line = found
-    delimiter = delimiter_of(line)
-    try:
-        header = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
-    except csv.Error as error:
-        raise InputError(f"no table: {error}", path=lines.path, line=number) from error
+    number, header, delimiter, first_row = found
     twice = [name for name in header if header.count(name) > 1]
     if twice and not all(is_number(name, has_commas=True) for name in header):
         lines.refuse(number, f"column {twice[0]!r:.60} occurs twice")
-    return CsvRows(lines, number, header, delimiter, fps, number)
+    return CsvRows(lines, number, header, delimiter, fps, first_row)
 
 
-_SUFFIXES: Final = {"_deg": Unit.DEG, "_rad": Unit.RAD, "_us": Unit.US}
 _LONG_NAMES: Final = ("servo", "joint")
 _LONG_VALUES: Final = ("deg", "rad", "us")
 
@@ -159,10 +320,21 @@ class CsvReader(Struct, frozen=True):
 
     def recognises(self, data: bytes) -> bool:
         head = text_head(data, 65_536).decode("utf-8", "replace")
-        rows = (row.strip() for row in head.splitlines())
-        first = next((row for row in rows if row and not row.startswith("#")), "")
-        words = {word.strip().strip('"').lower() for word in re.split(r"[,;\t]", first)}
-        return bool(words & {*SECONDS, FRAME}) and len(words) > 1
+        rows = [(at, row.strip()) for at, row in enumerate(head.splitlines(), 1) if row.strip()]
+        try:
+            found = header_of(rows)
+        except csv.Error:
+            return False
+        if found is None or len(found[1]) < 2:
+            return False
+        _, header, delimiter, first_row = found
+        if not any(
+            seconds_of(name) or (is_time_name(name) and _is_instant(name)) for name in header
+        ):
+            return False
+        first = next((row for at, row in rows if at > first_row), "")
+        cells = cells_of(first, delimiter)
+        return delimiter != " " or (len(cells) == len(header) and _are_values(cells, delimiter))
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         table = csv_rows(TextLines.of(path, data))
@@ -173,17 +345,24 @@ class CsvReader(Struct, frozen=True):
 
 def _wide(table: CsvRows) -> ForeignMotion:
     time_at, second = table.time_column()
-    names = [(at, name) for at, name in enumerate(table.header) if at != time_at and name]
+    others = [name for at, name in enumerate(table.header) if at != time_at and is_time_name(name)]
+    names = [
+        (at, name)
+        for at, name in enumerate(table.header)
+        if at != time_at and name and name not in others
+    ]
     if not names:
         table.lines.refuse(table.header_line, "no column is a joint")
-    columns = [(at, *unit_of_column(name)) for at, name in names]
+    columns = [
+        (at, *unit_of_column(table.lines.path, table.header_line, name)) for at, name in names
+    ]
     joints = [joint for _, joint, _ in columns]
     if len(set(joints)) < len(joints):
         twice = next(joint for joint in joints if joints.count(joint) > 1)
         table.lines.refuse(table.header_line, f"joint {twice!r:.60} has two columns")
     times_s, values, numbers = _cells(table, time_at, second, [at for at, _, _ in columns])
     channels: list[Channel] = []
-    empty: list[str] = []
+    empty = [f"column {name}, which is about time" for name in others]
     for column, (_, joint, unit) in enumerate(columns):
         given = np.isfinite(values[:, column])
         if given.any():
@@ -213,12 +392,16 @@ def _wide(table: CsvRows) -> ForeignMotion:
     )
 
 
-def unit_of_column(name: str) -> tuple[str, Unit]:
-    """Return joint and unit of a column; a name without an ending is in degrees."""
-    for suffix, unit in _SUFFIXES.items():
-        if name.endswith(suffix) and len(name) > len(suffix):
-            return name.removesuffix(suffix), unit
-    return name, Unit.DEG
+def unit_of_column(path: Path, line: int | None, name: str) -> tuple[str, Unit]:
+    """Return joint and unit of a column; a name without a unit is in degrees.
+
+    Raises `InputError` for a unit that is not known.
+    """
+    base, unit = name_and_unit(name)
+    if unit and unit not in _ANGLE_UNITS:
+        reason = f"column {name!r:.60}: unit {unit!r:.40} is not read; deg, rad or us are"
+        raise InputError(f"{reason}. Convert it, or remove the column", path=path, line=line)
+    return (base, _ANGLE_UNITS[unit]) if unit else (name, Unit.DEG)
 
 
 def _cells(
@@ -228,7 +411,7 @@ def _cells(
     lines, has_commas = table.lines, table.has_commas
     flat, times, numbers = array("d"), array("d"), array("i")
     for number, row in table.rows():
-        time_s = round(lines.number(row[time_at], number, has_commas=has_commas) * second, DIGITS)
+        time_s = seconds_at(lines, row[time_at], number, second, has_commas=has_commas)
         if times and time_s <= times[-1]:
             lines.refuse(number, f"times must increase, but {time_s:g} s follows {times[-1]:g} s")
         times.append(time_s)
@@ -257,9 +440,7 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     for count, (number, row) in enumerate(table.rows()):
         if count >= VALUES_MAX:
             lines.refuse(number, f"more than {VALUES_MAX:,} values")
-        time_s = round(
-            lines.number(row[time_at], number, has_commas=table.has_commas) * second, DIGITS
-        )
+        time_s = seconds_at(lines, row[time_at], number, second, has_commas=table.has_commas)
         value = lines.number(row[value_at], number, has_commas=table.has_commas)
         joint = row[name_at].strip()
         if not joint:

@@ -12,6 +12,7 @@ Angles are degrees if nothing else is given. Poses without times get `STEP_S` ea
 
 from __future__ import annotations
 
+import csv
 import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -20,7 +21,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.interchange.csv import csv_rows, delimiter_of, unit_of_column
+from lss_motion.interchange.csv import (
+    cells_of,
+    csv_rows,
+    header_of,
+    is_time_name,
+    name_and_unit,
+    unit_of_column,
+)
 from lss_motion.interchange.fields import (
     JsonFields,
     TextLines,
@@ -47,6 +55,9 @@ if TYPE_CHECKING:
 
 STEP_S: Final = 1.0
 """Assumed time of a pose without a time; the comments name it."""
+
+ANGLE_MAX: Final = 1e6
+"""Chosen: more than any angle or pulse, less than the seconds since 1970."""
 
 LISTS: Final = ("poses", "frames", "keyframes")
 INSTANTS: Final = {
@@ -83,22 +94,29 @@ class PosesReader(Struct, frozen=True):
         if starts_json(data, b"{"):
             return b'"poses"' in data or b'"frames"' in data
         rows = [
-            row
-            for row in head.decode("utf-8", "replace").splitlines()
-            if row.strip() and not row.lstrip().startswith("#")
+            (at, row.strip())
+            for at, row in enumerate(head.decode("utf-8", "replace").splitlines(), 1)
+            if row.strip()
         ]
-        return len(rows) > 1 and all(_is_pose(rows[0], row) for row in rows[1:3])
+        try:
+            found = header_of(rows)
+            if found is None:
+                return False
+            _, header, mark, first_row = found
+            under = [row for at, row in rows if at > first_row and not row.startswith("#")]
+            return len(under) > 0 and all(_is_pose(header, mark, row) for row in under[:2])
+        except csv.Error:
+            return False
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         is_json = starts_json(data, b"[") or starts_json(data, b"{")
         return (_from_json(path, data) if is_json else _from_rows(TextLines.of(path, data)),)
 
 
-def _is_pose(header: str, row: str) -> bool:
+def _is_pose(header: list[str], mark: str, row: str) -> bool:
     """Return whether `row` has numbers, maybe with empty cells and names of the pose."""
-    mark = delimiter_of(header)
-    names = [name.strip(' "').lower() for name in header.split(mark)]
-    cells = [cell.strip() for cell in row.split(mark)]
+    names = [name.strip(' "').lower() for name in header]
+    cells = cells_of(row, mark)
     # The last row may be cut, where the file is longer than the head.
     words = [cell for name, cell in zip(names, cells, strict=False) if cell and name not in NAMES]
     return (
@@ -230,7 +248,7 @@ def _entry(
             elif lower in NAMES:
                 label = motion_label(value)
             elif isinstance(value, int | float) and not isinstance(value, bool):
-                joint, unit = unit_of_column(name)
+                joint, unit = unit_of_column(fields.path, None, name)
                 values[joint] = (fields.plain_number(value, where), unit)
             else:
                 left_out.append(f"{name} of the poses")
@@ -264,15 +282,20 @@ def _from_rows(lines: TextLines) -> ForeignMotion:
         own: dict[str, float] = {}
         label = ""
         for name, cell in zip(table.header, row, strict=True):
-            lower, word = name.lower(), cell.strip()
+            word = cell.strip()
+            lower = "_".join(part for part in name_and_unit(name.lower()) if part)
             if lower in NAMES:
                 label = motion_label(word)
             elif word and name:
                 value = lines.number(word, number, has_commas=table.has_commas)
                 if lower in times:
                     own[times[lower]] = value * seconds[lower]
+                elif is_time_name(name) or abs(value) > ANGLE_MAX:
+                    lines.refuse(
+                        number, f"column {name!r:.60} is no angle: is it a time? Name it time_s"
+                    )
                 else:
-                    joint, unit = unit_of_column(name)
+                    joint, unit = unit_of_column(lines.path, table.header_line, name)
                     values[joint] = (value, unit)
         found.add(values, own, label=label, place="this row", line=number)
     if not found.poses:

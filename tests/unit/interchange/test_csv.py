@@ -99,3 +99,68 @@ def test_another_encoding_is_refused(refusal, data: bytes, reason: str) -> None:
 def test_leading_blanks_change_nothing(read_one) -> None:
     motion = read_one(CsvReader(), "\n  # made by hand\n  # fps: 25\n   frame,a_deg\n  0,1\n 1,2\n")
     assert motion.channels[0].times_s.tolist() == [0.0, 0.04]
+
+
+@pytest.mark.parametrize(
+    ("header", "first", "second"),
+    [
+        ("timestamp,a (deg)", "1700000000.00,1", "1700000000.05,2"),
+        ("time (s),a", "0,1", "0.05,2"),
+        ("Time [ms];a", "0;1", "50;2"),
+        ("Time / s,a", "0,1", "0.05,2"),
+        ("__time,a", "0,1", "0.05,2"),
+        ("# time,a", "0,1", "0.05,2"),
+        ("# made by hand\n# time (s) a (deg)", "0.0 1.0", "0.05 2.0"),
+        ("time_ns,a", "1700000000000000000,1", "1700000000050000000,2"),
+        ("timestamp_us,a", "0,1", "50000,2"),
+        ("  time   a", "  0.00   1.0", "  0.05   2.0"),
+        ("time;a", "00:00:01,00;1", "00:00:01,05;2"),
+        ("time (hh:mm:ss),a", "23:00:00.00,1", "23:00:00.05,2"),
+        ("datetime,a", "2024-05-01T10:00:00Z,1", "2024-05-01T10:00:00.050Z,2"),
+        ("datetime,a", "2024-05-01 10:00:00,1", "2024-05-01 10:00:00.050,2"),
+        ("Frame,Time (s),a", "0,0,1", "1,0.05,2"),
+    ],
+)
+def test_the_time_is_known_by_the_names_that_programs_give_it(
+    read_one, header: str, first: str, second: str
+) -> None:
+    text = f"{header}\n{first}\n{second}\n"
+    assert CsvReader().recognises(text.encode())
+    (a,) = read_one(CsvReader(), text).channels
+    assert (a.name, a.unit, a.values.tolist()) == ("a", Unit.DEG, [1.0, 2.0])
+    assert a.times_s[1] - a.times_s[0] == pytest.approx(0.05, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "column",
+    ["a (rad)", "a [rad]", "a_rad", "a {radians}", "a rad", "a/rad", "aRad", "a (RAD)", "a_Rad"],
+)
+def test_radians_are_radians_however_they_are_written(read_one, column: str) -> None:
+    (a,) = read_one(CsvReader(), f"t,{column}\n0,1\n").channels
+    assert (a.name, a.unit) == ("a", Unit.RAD)
+
+
+@pytest.mark.parametrize("name", ["head_turn", "left_s", "position[0]", "arm.pos", "second_finger"])
+def test_a_name_that_only_looks_like_a_unit_is_a_joint(read_one, name: str) -> None:
+    (a,) = read_one(CsvReader(), f"t,{name}\n0,1\n").channels
+    assert (a.name, a.unit) == (name, Unit.DEG)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("time,a (mm)\n0,1\n", "unit 'mm' is not read"),
+        ("time,a_mrad\n0,1\n", "unit 'mrad' is not read"),
+        ("time,a (rad/s)\n0,1\n", "unit 'rad/s' is not read"),
+        ("time,a_deg_s\n0,1\n", "unit 'deg_s' is not read"),
+        ("time (fortnights),a\n0,1\n", "no column is the time"),
+        ("header.stamp.sec,a\n0,1\n", "no column is the time"),
+        ("time,a\n10:20,1\n", "is not understood; write seconds"),
+        ("time,a\n01:02:03:04,1\n", "is not understood; write seconds"),
+        ("time (ms),a\n00:00:01,1\n", "is not understood; write seconds"),
+        ("timestamp,a\n1700000000000,1\n", "give the unit"),
+    ],
+)
+def test_a_unit_or_a_time_that_is_not_understood_is_refused(refusal, text, reason) -> None:
+    assert CsvReader().recognises(text.encode())
+    assert reason in refusal(CsvReader(), text).reason

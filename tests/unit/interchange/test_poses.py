@@ -100,3 +100,22 @@ def test_a_wrong_pose_is_refused_with_its_place(refusal, content, reason) -> Non
 def test_a_wrong_row_is_refused_with_its_line(refusal) -> None:
     error = refusal(PosesReader(), "a,b\n1,2\n3,x\n")
     assert (error.line, error.reason) == (3, "'x' is not a number")
+
+
+def test_a_header_in_a_comment_and_units_in_brackets_are_read(read_one) -> None:
+    motion = read_one(PosesReader(), "# a (rad) duration (ms)\n0.0 500\n1.0 500\n")
+    (a,) = motion.channels
+    assert (a.name, a.unit, a.times_s.tolist()) == ("a", Unit.RAD, [0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("1700000000.00,0,10\n1700000000.05,1,11\n", "is it a time?"),
+        ("when,a\n1700000000.00,0\n1700000000.05,1\n", "is it a time?"),
+        ("delay,a\n5,0\n5,1\n", "is it a time?"),
+        ("a (mm),b\n5,0\n5,1\n", "unit 'mm' is not read"),
+    ],
+)
+def test_a_time_or_a_unit_that_is_not_understood_is_no_angle(refusal, text, reason) -> None:
+    assert reason in refusal(PosesReader(), text).reason
