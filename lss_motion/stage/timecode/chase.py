@@ -139,7 +139,7 @@ class Chase:
             return
         if observation.direction == 0:
             self._hold(State.STANDING, observation)
-        elif before is not None and observation.position_s == before.position_s:
+        elif before is not None and observation[1:] == before[1:]:
             self._still += 1
             if self._still >= STANDING_COUNT:
                 self._hold(State.STANDING, observation)

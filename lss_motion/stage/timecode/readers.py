@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.stage.timecode import packets
-from lss_motion.stage.timecode.chase import Observation
+from lss_motion.stage.timecode.chase import FPP, Observation
 from lss_motion.stage.timecode.ltc import LtcDecoder
 from lss_motion.stage.timecode.mtc import MtcDecoder
 from lss_motion.stage.timecode.timecode import (
@@ -20,6 +20,7 @@ from lss_motion.stage.timecode.timecode import (
     FPS_30,
     Start,
 )
+from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -36,6 +37,7 @@ NEAR_RATIO: Final = 0.08
 """A measured rate that is nearer to one of the known ones is taken for it. 24 and 25 are 4 % apart,
 so the nearest counts; beyond, the tape is wound."""
 FROM_MIDNIGHT: Final = Start()
+PLAYERS_MAX: Final = 256
 SETTLED: Final = 4
 """So many frames in a row must be of another rate before the rate is changed."""
 
@@ -140,11 +142,16 @@ class ArtNetReader:
 
 
 class FppReader:
-    """Observations from UDP packets of a Falcon Player. Sequences count, or else media."""
+    """Observations from UDP packets of Falcon Players, each with the address of its player.
+
+    What a player plays does not tell it apart from another. Its sequence counts while one plays,
+    or else its media.
+    """
 
     def __init__(self, start: Start = FROM_MIDNIGHT) -> None:
         self._start = start
-        self._has_sequence = False
+        self._items: dict[str, tuple[str, str, int]] = {}
+        """What each player plays: kind, name, and when it was heard of last."""
 
     def take(
         self, packet: bytes, address: str, instant_ns: int
@@ -153,9 +160,17 @@ class FppReader:
         reading = packets.read_fpp(packet)
         if reading is None or reading.action == "open":
             return
-        self._has_sequence = self._has_sequence or reading.kind == "sequence"
-        if self._has_sequence and reading.kind != "sequence":
-            return
-        direction = 0 if reading.action == "stop" else 1
+        is_stop = reading.action == "stop"
+        kind, name, heard_ns = self._items.get(address, ("", "", 0))
+        if kind and instant_ns - heard_ns <= ns_from_s(FPP.gap_s):
+            is_beside = kind == "sequence" and reading.kind != kind
+            if is_beside or (is_stop and (kind, name) != (reading.kind, reading.name)):
+                return
+        if is_stop:
+            self._items.pop(address, None)
+        else:
+            if len(self._items) >= PLAYERS_MAX:  # Addresses are easily forged.
+                self._items.clear()
+            self._items[address] = (reading.kind, reading.name, instant_ns)
         position_s = self._start.show_s(reading.seconds * FPS_25.frames_per_s, FPS_25)
-        yield Observation(instant_ns, position_s, direction), f"{address} {reading.name}"
+        yield Observation(instant_ns, position_s, 0 if is_stop else 1), address

@@ -10,6 +10,7 @@ import pytest
 from lss_motion.stage.timecode import chase
 from lss_motion.stage.timecode.chase import Chase, Observation, State
 from lss_motion.stage.timecode.ltc import levels, sound_of
+from lss_motion.stage.timecode.packets import FppReading, fpp_packet
 from lss_motion.stage.timecode.readers import ArtNetReader, FppReader, LtcReader, MtcReader
 from lss_motion.stage.timecode.timecode import (
     FPS_23_976,
@@ -230,6 +231,69 @@ def test_ltc_is_read_after_noise_silence_and_other_speeds():
     found = heard(LtcReader(48000, None, [].append), tape.astype(np.float32))
     assert len([one for one in found if one.position_s >= 7200.0]) >= 22
     assert heard(LtcReader(48000, None, [].append), np.full(9600, np.nan, np.float32)) == []
+
+
+class Playlist:
+    """A Falcon Player, heard by a reader and a chase."""
+
+    def __init__(self):
+        self.reader, self.chase = FppReader(), Chase(chase.FPP)
+        self.now_ns, self.legs = 1_000_000_000, []
+
+    def send(self, action, kind, seconds, name, address="10.0.0.1"):
+        packet = fpp_packet(FppReading(action, kind, round(40 * seconds), seconds, name))
+        for observation, source in self.reader.take(packet, address, self.now_ns):
+            self.chase.take(observation, source)
+        self.chase.advance(self.now_ns)
+        self.legs += self.chase.take_legs()
+
+    def play(self, *items, stops=True):
+        """Play (kind, name) beside each other for nine seconds; return the legs of that time."""
+        self.legs = []
+        for action in ("open", "start"):
+            for item in items:
+                self.send(action, item[0], 0.0, item[1])
+        for half in range(18):
+            for item in items:
+                self.send("sync", item[0], half / 2, item[1])
+            self.now_ns += 500_000_000
+        for item in items if stops else ():
+            self.send("stop", item[0], 0.0, item[1])
+        return self.legs
+
+
+@pytest.mark.parametrize("stops", [True, False])
+@pytest.mark.parametrize("pause_s", [0, 1, 30])
+def test_each_item_of_a_playlist_is_followed_as_the_first(stops, pause_s):
+    player = Playlist()
+    for items in (
+        [("sequence", "one.fseq")],
+        [("sequence", "two.fseq"), ("media", "two.mp4")],
+        [("media", "three.mp4"), ("sequence", "three.fseq")],
+        [("media", "clip.mp4")],
+        [("media", "clip.mp4")],
+        [("sequence", "one.fseq")],
+    ):
+        if items[0][0] == "media" and not stops:
+            player.now_ns += 4_000_000_000  # The sequence before it is still taken to play.
+        start_ns = player.now_ns
+        running = [leg for leg in player.play(*items, stops=stops) if leg.rate > 0.0]
+        first = next(leg for leg in running if leg.show_s < 5.0 and leg.instant_ns >= start_ns)
+        assert first.show_s <= 0.6, items
+        for leg in running[running.index(first) :]:
+            assert leg.at_s(start_ns) == pytest.approx(0.0, abs=0.02)
+        player.now_ns += pause_s * 1_000_000_000
+    assert not any("ignored" in text for text in player.chase.take_texts())
+
+
+def test_another_player_is_ignored_and_a_stop_of_what_played_before_too():
+    player = Playlist()
+    player.play(("sequence", "one.fseq"), stops=False)
+    player.send("sync", "sequence", 3.0, "one.fseq", address="10.0.0.2")
+    player.send("stop", "sequence", 0.0, "none.fseq")
+    assert player.chase.state is State.LOCKED
+    assert player.chase.source == "10.0.0.1"
+    assert any("10.0.0.2 is ignored" in text for text in player.chase.take_texts())
 
 
 def test_readers_of_messages_say_a_wrong_rate_and_take_no_garbage():
