@@ -1,7 +1,8 @@
 """A URDF file → `Figure`: its joints, frames and visual shapes; everything else in it is ignored.
 
 Strict: a number that is none, a frame without a parent, a link with two parents or a joint that
-slides under a servo is refused with its line. Nothing outside of the folder of the robot file is
+slides under a servo is refused with its line. A visual part that cannot be drawn is a note: the
+robot moves all the same. Nothing outside of the folder of the robot file is
 read, and no document type (and with it no entity) is accepted.
 """
 
@@ -103,6 +104,7 @@ class _Reader:
 
     def figure(self, joints: Collection[str]) -> Figure:
         root = _parsed(self._path)
+        self._refuse_xacro(root)
         if root.tag != "robot":
             self._refuse(root, f"the outermost element is <{root.tag}>; a URDF file has <robot>")
         elements = self._named(root, "link")
@@ -119,6 +121,15 @@ class _Reader:
         order = self._order(elements, above, root)
         links = [self._link(name, elements[name], order, above, made) for name in order]
         return Figure(source="urdf", links=tuple(links), notes=tuple(self._notes))
+
+    def _refuse_xacro(self, element: _Element) -> None:
+        values = [element.tag, *element.attributes.values()]
+        if element.tag.startswith("xacro:") or any("${" in v or "$(" in v for v in values):
+            out = self._path.with_suffix("").stem + ".urdf"
+            reason = "is a xacro file, from which a URDF file is made"
+            self._refuse(element, f"{reason}; write one with `xacro {self._path.name} > {out}`")
+        for child in element.children:
+            self._refuse_xacro(child)
 
     def _named(self, root: _Element, tag: str) -> dict[str, _Element]:
         found: dict[str, _Element] = {}
@@ -239,7 +250,7 @@ class _Reader:
     ) -> FigureLink:
         ends = [self._frame(one.element)[0] for one in made.values() if one.parent == name]
         lines = tuple((ORIGIN, end) for end in ends if math.hypot(*end) > 0.0)
-        shapes = tuple(shape for visual in element.of("visual") if (shape := self._shape(visual)))
+        shapes = tuple(shape for visual in element.of("visual") if (shape := self._drawn(visual)))
         joint = above.get(name)
         if joint is None:
             return FigureLink(name=name, lines_mm=lines, shapes=shapes)
@@ -259,6 +270,14 @@ class _Reader:
             lines_mm=lines,
             shapes=shapes,
         )
+
+    def _drawn(self, visual: _Element) -> Shape | None:
+        """Return the shape of a `<visual>`, or note why it cannot be drawn."""
+        try:
+            return self._shape(visual)
+        except InputError as error:
+            self._notes.append(f"line {error.line}: {error.reason}; it is not drawn")
+            return None
 
     def _shape(self, visual: _Element) -> Shape | None:
         geometry = visual.one("geometry")

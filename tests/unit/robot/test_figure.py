@@ -231,6 +231,24 @@ def changed(old, new):
 
 
 @pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (changed("package://meshes/head.stl", "../../head.stl"), "line 9: "),
+        (changed("package://meshes/head.stl", "file:///etc/passwd"), "below the folder"),
+        (changed("package://meshes/head.stl", "package:///meshes/head.stl"), "below the folder"),
+        (changed("package://meshes/head.stl", ""), "line 9: <mesh> has no 'filename'"),
+        (changed('box size="0.1', 'box size="-0.1'), "above 0; it is not drawn"),
+        (changed('box size="0.1', 'box size="0'), "line 4: <box>: a size must be above 0"),
+        (changed('box size="0.1', 'box size="wide'), "3 numbers"),
+        (changed("<box ", "<bocks "), "no shape"),
+    ],
+)
+def test_a_part_that_cannot_be_drawn_is_a_note(tmp_path, text, said):
+    (tmp_path / "test.urdf").write_text(text)
+    assert any(said in note for note in figure_of(load(tmp_path, NAMED)).notes)
+
+
+@pytest.mark.parametrize(
     ("text", "line", "said"),
     [
         (changed("0.01 -0.02 0.3", "0.01 -0.02"), 17, "3 numbers"),
@@ -244,14 +262,12 @@ def changed(old, new):
         (changed("0 0.6 0.8", "0 0 0"), 17, "axis is 0 0 0"),
         (changed('joint="grip" m', 'joint="gripp" m'), 29, "grip"),
         (changed('joint="grip" m', 'joint="grip_2" m'), 29, "mimic each other"),
-        (changed("package://meshes/head.stl", "../../head.stl"), 9, "below the folder"),
-        (changed("package://meshes/head.stl", "file:///etc/passwd"), 9, "below the folder"),
-        (changed('box size="0.1', 'box size="-0.1'), 4, "above 0"),
-        (changed("<box ", "<bocks "), 4, "no shape"),
         (changed('name="jaw"', 'name="head"'), 14, "given twice, first in line 6"),
         (changed("</link>", "</lick>"), 5, "not XML"),
         (changed('<robot name="test">', '<!DOCTYPE a [<!ENTITY b "c">]>\n<robot>'), 2, "document"),
         (changed("<robot", "<sdf").replace("</robot>", "</sdf>"), 2, "<sdf>"),
+        (changed('box size="0.1', 'box size="${w}'), 4, "write one with `xacro test.urdf > "),
+        (changed("<link", "<xacro:wheel/><link"), 3, "is a xacro file"),
         ("", 1, "not XML"),
         ("<a>" * 40 + "</a>" * 40, 1, "deep"),
     ],
