@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import LabelTrack
 
 _TSV_ROW: Final = re.compile(rb"\d+(\.\d+)?\t[A-HX]\r?\n")
-TAIL: Final = "X"
-"""The last row of a TSV file is a mouth at rest: it only ends the cue before."""
 
 
 @dataclass(slots=True)
@@ -113,4 +111,5 @@ def _tsv_spans(lines: TextLines) -> list[Span]:
         for (from_s, shape, number), (to_s, _, _) in pairwise(rows)
     ]
     last_s, shape, number = rows[-1]
-    return spans if shape == TAIL else [*spans, Span(last_s, last_s, shape, number)]
+    # The last row closes the mouth; it is a cue of its own unless the mouth is closed before.
+    return spans if shape == rows[-2][1] else [*spans, Span(last_s, last_s, shape, number)]

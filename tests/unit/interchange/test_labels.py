@@ -164,16 +164,20 @@ RHUBARB_XML = (
 RHUBARB_TSV = "".join(f"{a:.2f}\t{c}\n" for a, _, c in [*CUES, (0.9, 1.0, "X")])
 
 
-@pytest.mark.parametrize("text", [RHUBARB_JSON, RHUBARB_XML, RHUBARB_TSV])
-def test_the_three_forms_of_rhubarb_say_the_same(text):
+@pytest.mark.parametrize(
+    ("text", "closing"),
+    [(RHUBARB_JSON, []), (RHUBARB_XML, []), (RHUBARB_TSV, [(0.9, 0.9, "X")])],
+)
+def test_the_three_forms_of_rhubarb_say_the_same(text, closing):
     (track,) = tracks("rhubarb", text)
-    assert spans(track) == CUES
+    assert spans(track) == CUES + closing
     made = sequence(track)
     assert keys(made) == [
         (0.05, 0.2, 0.0, "rest"),
         (0.35, 0.1, 25.0, "AI"),
         (0.52, 0.0, 0.0, "MBP"),
         (0.59, 0.26, 18.0, "O"),
+        *((at_s, 0.0, 0.0, "rest") for at_s, _, _ in closing),
     ]
     assert made.keeps_time == {"jaw", "lip"}
 
@@ -256,12 +260,20 @@ def test_the_kind_of_shapes_is_found_by_all_labels(labels, shapes):
     assert shape_reader([*labels, "window"]) is None
 
 
+def test_the_last_row_of_rhubarb_closes_the_mouth_once():
+    for end in ("X", "A"):
+        (track,) = tracks("rhubarb", f"0.00\tX\n0.50\tD\n1.00\t{end}\n")
+        assert sequence(track).keyframes[-1].deg["jaw"] == 0.0
+    (track,) = tracks("rhubarb", "0.00\tD\n0.50\tX\n1.00\tX\n")
+    assert spans(track) == [(0.0, 0.5, "D"), (0.5, 1.0, "X")]
+
+
 def test_a_robot_may_have_the_shapes_of_rhubarb_and_only_some():
     visemes = {"A": {"jaw": 0}, "D": {"jaw": 25}, "B": {"jaw": 6}}
     robot = lss.load_robot({**ROBOT, "visemes": visemes})
     (track,) = tracks("rhubarb", "0.00\tX\n0.50\tC\n1.00\tX\n")
     made = imported(track, robot)
-    assert [frame.deg["jaw"] for frame in made.sequence.keyframes] == [0.0, 6.0]
+    assert [frame.deg["jaw"] for frame in made.sequence.keyframes] == [0.0, 6.0, 0.0]
     assert any("B is taken for E" in comment for comment in made.comments)
     with pytest.raises(InputError, match="has no viseme for 'E'"):
         imported(tracks("rhubarb", "0.00\tX\n0.50\tE\n1.00\tX\n")[0], robot)
