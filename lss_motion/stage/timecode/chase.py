@@ -15,6 +15,7 @@ are a weighted regression over the last seconds, so that the jitter of the way i
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -42,6 +43,10 @@ LEG_NS: Final = NS_PER_S // 10
 STANDING_LEG_NS: Final = NS_PER_S // 2
 JUDGED_S: Final = 1.0
 """The speed of a leader is judged after this time."""
+SURE_ERRORS: Final = 5.0
+"""A verdict on the speed of a leader is given when it is so many standard errors clear."""
+FEW_COUNT: Final = 4
+"""The typical jitter counts as so many points of a fit: a few points do not show theirs."""
 CONSISTENT_RATIO: Final = 0.06
 """Two frames whose distance differs by more from the time between them are not consecutive."""
 ASTRAY_S: Final = 0.3
@@ -110,6 +115,8 @@ class Chase:
         """The source that is followed, once there was one."""
         self.ignored = 0
         """Observations that did not fit, or came from another source."""
+        self._rate_error = math.inf
+        """Standard error of `rate`."""
         self._style = style
         self._freewheel_ns = ns_from_s(freewheel_s)
         self._points: deque[Observation] = deque()
@@ -278,9 +285,14 @@ class Chase:
         late_s = float((weights * lates_s).sum()) / total
         away_s = times_s - middle_s
         damping = (self._style.jitter_s / PRIOR_RATIO) ** 2
-        spread = float((weights * away_s * away_s).sum()) + damping
-        slope = float((weights * away_s * lates_s).sum()) / spread
+        weighted_s = weights * away_s
+        spread = float(weighted_s @ away_s) + damping
+        slope = float(weighted_s @ lates_s) / spread
         self.rate = 1.0 + slope
+        rest_s = lates_s - late_s - slope * away_s
+        known = FEW_COUNT * self._style.jitter_s**2 + float(rest_s @ rest_s)
+        jitter_s = math.sqrt(known / max(len(self._points) - 2, 1))
+        self._rate_error = jitter_s * math.sqrt(float(weighted_s @ weighted_s)) / spread
         position_s = last.position_s + late_s - slope * middle_s
         self._fitted_at = last._replace(position_s=position_s)
 
@@ -289,17 +301,18 @@ class Chase:
         if observation.instant_ns - self._since_ns < ns_from_s(JUDGED_S):
             return
         off_ratio = abs(self.rate - 1.0)
+        unsure_ratio = SURE_ERRORS * self._rate_error
         if self.state is State.OFF_SPEED:
             if off_ratio < RATE_MAX_RATIO - RATE_SLACK_RATIO:
                 self._enter(State.LOCKED)
                 self._add_leg(observation.instant_ns)
-        elif off_ratio > RATE_MAX_RATIO:
+        elif off_ratio - unsure_ratio > RATE_MAX_RATIO:
             self._texts.append(
                 f"timecode runs at {self.rate:.3f} of its speed, more than "
                 f"{100.0 * RATE_MAX_RATIO:g} % off: the robot holds until it is slower or faster"
             )
             self._hold(State.OFF_SPEED, observation)
-        elif abs(self.rate - PULL_DOWN_RATIO) < PULL_DOWN_BAND:
+        elif abs(self.rate - PULL_DOWN_RATIO) < PULL_DOWN_BAND and unsure_ratio < off_ratio:
             self.say(
                 "timecode runs at 0.999 of its speed, as 23.976 or 29.97 frames a second that are "
                 "labelled as 24 or 30: followed as it runs. If its seconds are to count instead, "

@@ -86,6 +86,37 @@ def test_a_leader_beyond_half_a_percent_is_held_and_said_and_followed_again():
     assert deck.errors_s[-1] == pytest.approx(0.0, abs=2e-4)
 
 
+def verdicts(style, fps, late_ms, seconds, rate=1.0, seeds=8):
+    """Return texts and states of leaders whose packets are 0 to `late_ms` late."""
+    texts, states = [], set()
+    for seed in range(seeds):
+        luck, chased = random.Random(seed), Chase(style)
+        for number in range(int(seconds * fps)):
+            late_ns = round(1e6 * late_ms * luck.random())
+            now_ns = 1_000_000_000 + round(1e9 * number / fps) + late_ns
+            chased.take(Observation(now_ns, rate * number / fps), "desk")
+            chased.advance(now_ns)
+        texts += chased.take_texts()
+        states.add(chased.state)
+    return texts, states
+
+
+@pytest.mark.parametrize("late_ms", [5, 10, 20, 40, 60, 100])
+@pytest.mark.parametrize(("style", "fps"), [(chase.ART_NET, 25), (chase.MTC, 30), (chase.FPP, 2)])
+def test_the_speed_of_a_true_leader_is_not_judged_by_the_jitter_of_its_way(style, fps, late_ms):
+    texts, _ = verdicts(style, fps, late_ms, 15.0)
+    assert not any("of its speed" in text for text in texts), texts
+
+
+@pytest.mark.parametrize("late_ms", [5, 10])
+def test_a_speed_that_is_known_through_the_jitter_is_said(late_ms):
+    texts, _ = verdicts(chase.ART_NET, 30, late_ms, 12.0, rate=0.999)
+    assert sum("23.976" in text for text in texts) == 8
+    texts, states = verdicts(chase.ART_NET, 25, late_ms, 5.0, rate=1.01)
+    assert sum("more than 0.5 % off" in text for text in texts) == 8
+    assert states == {State.OFF_SPEED}
+
+
 def test_one_wrong_frame_changes_nothing_and_a_jump_locks_at_its_second():
     deck = Deck().run(3.0)
     deck.chase.take(Observation(deck.now_ns + 10, 4000.0), "a")
