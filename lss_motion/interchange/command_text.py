@@ -5,6 +5,8 @@ whole microseconds (`.lss` programs). With instants, a command that arrives duri
 the position that the servo has then. Without instants, commands to different servos start together,
 and the next command to one of these servos starts when all of them have arrived.
 
+`#254D…` moves all servos: those of the text, and all others of the robot (`BROADCAST_ID`).
+
 Case and spaces between the parts of a command do not count, as on an SSC-32: `#5 p1500 t1000`.
 
 Lines such as `wait 500 ms`, `pause 0.5`, `delay(500);` or `time.sleep(0.5)` are the clock of a
@@ -25,6 +27,7 @@ from msgspec import Struct
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
+    BROADCAST_ID,
     DIGITS,
     TENTHS_PER_DEG,
     VALUES_MAX,
@@ -46,6 +49,8 @@ if TYPE_CHECKING:
 
 ID_MAX: Final = 250
 """Largest id of an LSS. An SSC-32 has 32 channels."""
+
+_ALL: Final = f"ID{BROADCAST_ID}"
 
 DURATION_MAX_MS: Final = 3_600_000
 """Chosen: one hour, longer than any single move."""
@@ -221,23 +226,35 @@ class _CommandText:
                 number,
                 f"{move[0]!r} has no time (T), so its duration depends on the servo",
             )
-        servo = self.lines.whole(move[1], number, ID_MAX)
         is_pulse = move[2] == "P"
+        is_broadcast = not is_pulse and int(move[1]) == BROADCAST_ID
+        servo = BROADCAST_ID if is_broadcast else self.lines.whole(move[1], number, ID_MAX)
         name = f"PIN{servo}" if is_pulse else f"ID{servo}"
         value = float(move[3]) if is_pulse else int(move[3]) / TENTHS_PER_DEG
         duration_s = s_from_ms(duration_ms)
         start_s = self._start(stamp, name, duration_s)
         if start_s + duration_s > TIME_MAX_S:
             self.lines.refuse(number, f"ends more than a day ({TIME_MAX_S:g} s) after the start")
-        self.moves.setdefault(name, []).append(_ServoMove(value, start_s, duration_s, number))
-        self.moves_count += 1
+        if name not in self.moves:
+            earlier = [] if is_pulse else self.moves.get(_ALL, [])
+            self.moves[name] = [*earlier]
+            self.moves_count += len(earlier)
+        moved = [own for own in self.moves if own.startswith("ID")] if is_broadcast else [name]
+        for own in moved:
+            self.moves[own].append(_ServoMove(value, start_s, duration_s, number))
+        self.moves_count += len(moved)
         if self.moves_count > VALUES_MAX:
             self.lines.refuse(number, f"more than {VALUES_MAX:,} moves")
 
     def _start(self, stamp: str | None, name: str, duration_s: float) -> float:
         if stamp is not None:
             return float(stamp) if "." in stamp else s_from_us(int(stamp))
-        if name in self.group:
+        is_taken = (
+            any(own.startswith("ID") for own in self.group)
+            if name == _ALL
+            else (name.startswith("ID") and _ALL in self.group)
+        )
+        if is_taken or name in self.group:
             self.group.clear()
             self.group_start_s = self.group_end_s
         self.group.add(name)

@@ -20,6 +20,7 @@ from lss_motion.files.source import known_names
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.interchange.reader import (
+    BROADCAST_ID,
     DEG_PER_UNIT,
     TENTHS_PER_DEG,
     Channel,
@@ -128,6 +129,7 @@ def mapped(
     Raises `InputError` with every name of the map that does not exist, and every unit that is not
     an angle.
     """
+    motion = _spread(motion, robot)
     entries = {} if motion_map is None else dict(motion_map.entries)
     if motion_map is not None:
         _check_map(motion_map, motion, robot)
@@ -157,6 +159,19 @@ def mapped(
         errors = [InputError(reason, path=motion.path) for reason in reasons]
         raise InputError(reasons[0], path=motion.path, more=errors[1:])
     return replace(motion, channels=tuple(channels), comments=(*motion.comments, *comments))
+
+
+def _spread(motion: ForeignMotion, robot: Robot) -> ForeignMotion:
+    """Return the motion with a channel for each servo that only broadcasts move."""
+    listed = [channel.servo_id for channel in motion.channels]
+    others = sorted({joint.servo_id for joint in robot.joints.values()} - {*listed})
+    channels: list[Channel] = []
+    for channel in motion.channels:
+        if channel.servo_id == BROADCAST_ID:
+            channels += [replace(channel, name=f"ID{own}", servo_id=own) for own in others]
+        else:
+            channels.append(channel)
+    return replace(motion, channels=tuple(channels))
 
 
 def _counted_by_servos(
@@ -321,7 +336,7 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
         f"# Joints of the robot: {', '.join(robot.joints)}",
         "joints:",
     ]
-    for channel in _counted_by_servos(motion, robot, {})[0].channels:
+    for channel in _counted_by_servos(_spread(motion, robot), robot, {})[0].channels:
         low, high = float(channel.values.min()), float(channel.values.max())
         joint = _guess(channel, robot)
         fields = [f"name: {json.dumps(joint, ensure_ascii=False)}"] if joint else ["skip: true"]

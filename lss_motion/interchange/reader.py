@@ -69,6 +69,9 @@ class Unit(StrEnum):
 DEG_PER_UNIT: Final[Mapping[Unit, float]] = {Unit.DEG: 1.0, Unit.RAD: math.degrees(1.0)}
 """The units that are angles."""
 
+BROADCAST_ID: Final = 254
+"""Id to which all servos of a bus listen."""
+
 _PRISMATIC: Final = re.compile(r"lift|prismatic|linear|slid|elevat|telescop|finger", re.IGNORECASE)
 
 
@@ -86,7 +89,8 @@ class Channel(Struct, frozen=True, kw_only=True, eq=False):
     values: FloatArray
     servo_id: int | None = None
     """Id on the bus, in files with commands for LSS servos; `values` are then servo angles, as an
-    LSS counts them (`TENTHS_PER_DEG`). The text does not tell of which family the servo is."""
+    LSS counts them (`TENTHS_PER_DEG`). The text does not tell of which family the servo is.
+    `BROADCAST_ID`: every servo of the robot that has no channel of its own."""
     lines: IntArray | None = None
     """Line of each value, in text files."""
 

@@ -87,7 +87,7 @@ SEEDS = {
     "ros": b"joint_names: [a, lift]\npoints:\n- {positions: [0.0, 1], time_from_start: {sec: 0}}\n"
     b"- positions: &p [1.0, 2]\n  time_from_start: 1.5\n  velocities: *p\n",
     "csv": b"# fps: 25\nframe,a_deg,b_rad\n0,1.5,2\n1,,-3e-1\n2,4,5\n",
-    "commands": b"#5P1500#6P1600T1000\r#5P1700T500\r\n#1D100T500#254H\n",
+    "commands": b"#5P1500#6P1600T1000\r#5P1700T500\r\n#1D100T500#254H\n#254D300T500\n",
     "robotis-bin": bytes(PAGE),
     "d6a": sqlite_file([(1, 500, 480, 0), (2, 1000, 500, 1000)]),
     "opencat": b"const int8_t wk[] PROGMEM = {\n2, 0, 0, 1,\n 1, 2, 3, 4, 5, 6, 7, 8,\n 9, 8, 7, 6,"

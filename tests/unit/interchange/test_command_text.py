@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.interchange.command_text import CommandReader
+from lss_motion.interchange.mapping import map_template, mapped
 from lss_motion.interchange.reader import Unit
 from lss_motion.show.model import Interpolation
 
@@ -190,3 +191,27 @@ def test_case_and_spaces_within_commands_do_not_count(read_one, text) -> None:
         ("PIN10", [750.0]),
     ]
     assert all(c.times_s.tolist() == [2.5] for c in motion.channels)
+
+
+def test_a_broadcast_moves_the_servos_of_the_text_and_all_others_of_the_robot(
+    read_one, arm
+) -> None:
+    motion = read_one(CommandReader(), "#1D100T500\n#254D300T500\n#9D0T500\n")
+    assert keys(motion) == {
+        "ID1": [(0.5, 10.0), (1.0, 30.0)],
+        "ID254": [(1.0, 30.0)],
+        "ID9": [(1.0, 30.0), (1.5, 0.0)],
+    }
+    own = {
+        c.name: (c.times_s.tolist(), c.values.tolist()) for c in mapped(motion, arm, None).channels
+    }
+    assert own == {
+        "base": ([0.5, 1.0], [10.0, 30.0]),
+        "elbow": ([1.0], [-20.0]),
+        "lift": ([1.0, 1.5], [30.0, 0.0]),
+    }
+    alone = mapped(read_one(CommandReader(), "#254D0T500\n"), arm, None)
+    assert {channel.name for channel in alone.channels} == {"base", "elbow", "lift"}
+    template = map_template(motion, arm)
+    assert '"ID5"' in template
+    assert "ID254" not in template
