@@ -16,7 +16,7 @@ from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import put
 from lss_motion.cli.options import add_options
 from lss_motion.cli.terminal import is_at_keyboard
-from lss_motion.errors import EXIT_FINISHED, InputError
+from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -48,8 +48,9 @@ computers and one STOP for all; with --go it plays the first show as soon as all
 others s and Enter stops all, ? and Enter tells the rest. With --no-pages the conductor is steered
 like that, too, and cues fire by their names, or by triggers of the figures.
 
-Exit codes: 0 ended; 2 a file or argument must change; 3 a show cannot be planned; 4 the port or the
-servos are not there (with --wait-port they are waited for); 5 the robot did not follow.
+Exit codes: 0 ended; 2 a file or argument must change, or lines of the log could not be written; 3 a
+show cannot be planned; 4 the port or the servos are not there (with --wait-port they are waited
+for); 5 the robot did not follow.
 """
 TOKEN_BYTES: Final = 32
 
@@ -225,10 +226,13 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
         opens=False,
         make_service=make_service,
     )
-    if failure is None:
-        return EXIT_FINISHED
-    put(f"lss-motion: {failure.text}", sys.stderr)
-    return failure.exit_code
+    if failure is not None:
+        put(f"lss-motion: {failure.text}", sys.stderr)
+        return failure.exit_code
+    if services and services[0].log_text:
+        put(f"lss-motion: {services[0].log_text}", sys.stderr)
+        return EXIT_INPUT
+    return EXIT_FINISHED
 
 
 def _tell(studio: Studio, service: StageService, *, is_json: bool) -> None:

@@ -17,6 +17,7 @@ from lss_motion.files.source import counted, duration_text, known_names
 from lss_motion.planning import shows
 from lss_motion.playing.player.added_show import why_not_beside
 from lss_motion.playing.player.following import require_can_follow
+from lss_motion.stage.log import why_not_writable
 from lss_motion.stage.model import Kind
 
 if TYPE_CHECKING:
@@ -156,6 +157,8 @@ def findings(planned: Planned) -> list[Finding]:
     """Return what does not go together, in the order of the lines."""
     found = [*_endless(planned), *_never_added(planned), *_same_triggers(planned.stage)]
     found += [*_unused(planned.stage), *_never_enabled(planned.stage)]
+    if (why := why_not_writable(planned.stage.log.folder)) is not None:
+        found.append(Finding(None, f"the log of the stage cannot be written: {why}"))
     return sorted(found, key=lambda one: one.line or 0)
 
 
@@ -248,7 +251,9 @@ def stage_lines(planned: Planned) -> list[str]:
         lines.append(f"  {cue.name:{width}}  on {cue.on.text}: {what}{start}")
     if names := planned.functions:
         lines.append(f"calls Python functions, which need --allow-run: {', '.join(names)}")
-    lines += [f"{stage.path}:{one.line}: {one.text}" for one in findings(planned)]
+    for one in findings(planned):
+        line = "" if one.line is None else f":{one.line}"
+        lines.append(f"{stage.path}{line}: {one.text}")
     return lines
 
 

@@ -68,6 +68,7 @@ class StageJob(Struct, frozen=True, kw_only=True):
         given = self.planned.stage.sync.timecode
         with contextlib.ExitStack() as stack:
             log = stack.enter_context(StageLog(rule, is_virtual=options.is_virtual))
+            steering.kept = log
             legs = None
             if given is not None and not options.is_virtual:
                 legs = stack.enter_context(OwnSource(spec_of(given)))
@@ -87,6 +88,7 @@ class StageJob(Struct, frozen=True, kw_only=True):
             except LssMotionError as refused:
                 report, error = None, refused
         outcome = Outcome(report, error)
+        steering.note_log(is_last=True)
         steering.end(outcome.message)
         return outcome
 
@@ -172,6 +174,8 @@ class StageSteering(Steering):
         self._run: Directed | None = None
         self._own: StageRun | None = None
         """The same, if it is a stage with one robot."""
+        self.kept: StageLog | None = None
+        """The log of the stage, to say when it cannot be written."""
         self._stated_ns = 0
         self._has_news = True
 
@@ -283,10 +287,16 @@ class StageSteering(Steering):
             )
         )
 
+    def note_log(self, *, is_last: bool = False) -> None:
+        """Send what people have to know of the log: the log itself cannot say it."""
+        for text in () if self.kept is None else self.kept.take_texts(is_last=is_last):
+            self.note({"kind": "log", "text": text})
+
     def _state(self, now_ns: int) -> None:
         """Send the whole state, if there is news or it is due, and no move."""
         if self._run is None or (now_ns < self._stated_ns + STATE_NS and not self._has_news):
             return
+        self.note_log()
         self._has_news, self._stated_ns = False, now_ns
         state = self._run.state_of()
         shown = state["show"]

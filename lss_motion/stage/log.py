@@ -4,7 +4,7 @@
 
 A night is a few hundred kilobytes. Files begin anew each day and at a bounded size, and the oldest
 are deleted, so that the folder has at most `max_bytes`. A disk that is full loses lines, not
-shows; the first line after it says how many.
+shows; the first line after it says how many. `StageLog.take_texts` tells people at once.
 
 `Writer` writes. `StageLog` hands records to a process of its own (`main`), for which the player
 never waits; in virtual time it writes itself. `Ring` keeps the last seconds of bytes in memory; at
@@ -14,12 +14,15 @@ a fault they become a file that `lss-motion replay` shows.
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from lss_motion.files.source import counted
 from lss_motion.playing.log import VERSION, LineTap, LogHead, encode_line
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.process import ChildProcess
@@ -54,6 +57,15 @@ class Record(Struct, frozen=True):
     values: dict[str, Any]
 
 
+class Written(Struct, frozen=True):
+    """What became of the records so far: the answer of the process that writes."""
+
+    trouble: str = ""
+    """Why the last one was not written; empty: it was."""
+    lost: int = 0
+    """How many were not, in all."""
+
+
 class Writer:
     """Writes lines to the files of a folder; it survives a full disk."""
 
@@ -64,21 +76,28 @@ class Writer:
         self._size = 0
         self.lost = 0
         """Lines that the disk did not take since the last that it took."""
+        self.written = Written()
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Append a record to the file of its day. One with `dump` becomes a file of its own."""
         try:
-            if "dump" in record:
-                self._dump(str(record["dump"]), str(record["content"]))
-                return
-            if self.lost:
-                text = f"{self.lost} lines were lost: the disk took none"
-                self._append({"t": record["t"], "kind": "lost", "text": text, "count": self.lost})
-                self.lost = 0
-            self._append(record)
-        except OSError:
+            self._write(record)
+        except OSError as error:
             self.lost += 1
             self._path = None
+            self.written = Written(why_not_written(self._folder, error), self.written.lost + 1)
+        else:
+            self.written = Written("", self.written.lost)
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        if "dump" in record:
+            self._dump(str(record["dump"]), str(record["content"]))
+            return
+        if self.lost:
+            text = f"{self.lost} lines were lost: the disk took none"
+            self._append({"t": record["t"], "kind": "lost", "text": text, "count": self.lost})
+            self.lost = 0
+        self._append(record)
 
     def _append(self, record: Mapping[str, Any]) -> None:
         data = (json.dumps(record, ensure_ascii=False) + "\n").encode()
@@ -133,16 +152,46 @@ class Writer:
                 total -= size
 
 
+def why_not_written(folder: Path, error: OSError) -> str:
+    """Return for people why a log cannot be written to a folder."""
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return f"{folder} is not a folder"
+    return f"{folder}: {error.strerror or error}"
+
+
+def why_not_writable(folder: Path) -> str | None:
+    """Return why a log could not be written to a folder now, which need not exist; else None."""
+    try:
+        return _why_not_writable(folder)
+    except OSError as error:
+        return why_not_written(folder, error)
+
+
+def _why_not_writable(folder: Path) -> str | None:
+    there = next((one for one in (folder, *folder.parents) if one.exists()), folder)
+    if not there.is_dir():
+        return f"{there} is not a folder"
+    newest = max(there.glob(f"{PREFIX}*.jsonl"), default=None) if there == folder else None
+    for one, rights in ((there, os.W_OK | os.X_OK), (newest, os.W_OK)):
+        if one is not None and not os.access(one, rights):
+            return f"{one} may not be written"
+    return "the disk is full" if shutil.disk_usage(there).free == 0 else None
+
+
 class StageLog:
     """Takes records, and never waits; use it as a context manager."""
 
     def __init__(self, rule: LogRule, *, is_virtual: bool = False) -> None:
         self._writer = Writer(rule.folder, rule.max_bytes) if is_virtual else None
-        self._lost = 0
-        self._child: ChildProcess[None] | None = None
+        self._lost = self._dropped = 0
+        """Records that the process did not take: since the last that it took, and in all."""
+        self._written = self._told = Written()
+        self._child: ChildProcess[Written] | None = None
         if not is_virtual:
             folder, max_bytes = str(rule.folder.absolute()), str(rule.max_bytes)
-            self._child = ChildProcess(__name__, folder, max_bytes, outbox_max_bytes=HELD_MAX_BYTES)
+            self._child = ChildProcess(
+                __name__, folder, max_bytes, receives=Written, outbox_max_bytes=HELD_MAX_BYTES
+            )
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Keep a record."""
@@ -157,11 +206,29 @@ class StageLog:
                 self._lost = 0
         if not self._child.send(Record(dict(record))):
             self._lost += 1
+            self._dropped += 1
 
-    def flush(self) -> None:
-        """Hand over what the process takes now."""
-        if self._child is not None:
-            self._child.pipe.flush()
+    def take_texts(self, *, is_last: bool = False) -> list[str]:
+        """Return what people have to know since the last call: the log cannot be written, or can.
+
+        `is_last`: say once more what is lost in all.
+        """
+        if self._writer is not None:
+            self._written = self._writer.written
+        elif self._child is not None and not is_last:
+            for written in self._child.receive():
+                self._written = written
+        trouble, lost = self._written.trouble, self._written.lost + self._dropped
+        if self._dropped and not trouble and self._child is not None and self._child.has_ended:
+            trouble = "the process that writes it has ended"
+        told, is_changed = self._told, trouble != self._told.trouble
+        lines = counted(range(lost), "line")
+        self._told = Written(trouble, told.lost if trouble else lost)
+        if is_last and lost:
+            return [f"{lines} of the log could not be written" + (trouble and f": {trouble}")]
+        if trouble:
+            return [f"the log cannot be written: {trouble}"] if is_changed else []
+        return [f"the log is written; {lines} of it could not be"] if lost > told.lost else []
 
     def __enter__(self) -> StageLog:
         return self
@@ -169,7 +236,10 @@ class StageLog:
     def __exit__(self, *_: object) -> None:
         """Wait until everything is written, for `CLOSE_S` at most."""
         if self._child is not None:
-            self._child.end(CLOSE_S)
+            self._child.end(CLOSE_S, self._note_written)
+
+    def _note_written(self, written: Written) -> None:
+        self._written = written
 
 
 class Ring(LineTap):
@@ -211,5 +281,16 @@ def main(pipe: MessagePipe, folder: str, max_bytes: str) -> int:
     lower_priority()
     writer = Writer(Path(folder), int(max_bytes))
     typed: TypedPipe[Record] = TypedPipe(pipe, Record)
-    serve(typed, lambda record: writer.write(record.values))
+    told = writer.written
+
+    def write(record: Record) -> None:
+        nonlocal told
+        writer.write(record.values)
+        if writer.written.trouble != told.trouble:
+            told = writer.written
+            typed.send(told)
+
+    serve(typed, write)
+    if writer.written != told:
+        typed.send(writer.written)
     return 1 if writer.lost else 0

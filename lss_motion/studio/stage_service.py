@@ -67,6 +67,8 @@ class StageService:
         self._state: dict[str, Any] = {"state": "off", "show": None}
         self._joints: tuple[str, ...] = ()
         self._show_s = 0.0
+        self.log_text = ""
+        """What is wrong, or was, with the log of the stage; empty: all is written."""
         self._received_s = self._now_s()
         self._refusals = Complaints("refused", self.note)
         self._said_waiting = False
@@ -132,6 +134,7 @@ class StageService:
             "show_s": round(self._show_s, 3),
             "is_latched": self.studio.desk.is_latched,
             "has_new_files": self.keeper.has_new_files,
+            "log": self.log_text,
             "errors": [f"{path}:{line}: {text}" for path, line, text in document.newest.problems],
             "version": __version__,
         }
@@ -224,6 +227,8 @@ class StageService:
             self.keeper.note_renewed(is_taken=kind == "renewed")
         elif kind == "must_restart":
             self.studio.desk.end_run()
+        if kind == "log":
+            self.log_text = text
         if not text:
             return  # Figures for the log.
         self._options.note(text)
@@ -233,7 +238,7 @@ class StageService:
             self.inlets.mqtt.tell(
                 f"{self.inlets.mqtt.base}/event", json.dumps({"kind": kind, "text": text})
             )
-        if kind == "alert":
+        if kind in ("alert", "log"):
             self.alert(kind, text)
 
     def _tell_state(self) -> None:

@@ -267,3 +267,15 @@ def test_what_cannot_begin_ends_with_its_code(hall, tmp_path, monkeypatch):
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("hall.yaml:6:")
+
+
+@pytest.mark.slow
+def test_a_log_that_cannot_be_written_is_said_and_ends_with_2(on_terminal, servo, hall):
+    Path("log").write_text("not a folder")
+    with on_terminal(servo(1)):
+        own = hall()
+        own.waits_for(state="idle")
+        until(lambda: own.said("the log cannot be written: "))
+        assert "is not a folder" in own.ask("/state")["log"]
+        assert own.end(signal.SIGINT) == 2
+    assert "of the log could not be written: " in own.errors[-1]

@@ -84,6 +84,7 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
         except LssMotionError as refused:
             error = refused
         outcome = Outcome(None, error)
+        steering.note_log(is_last=True)
         steering.end(outcome.message)
         return outcome
 
@@ -101,7 +102,7 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
                 steering.pass_on(m.parse_event(content))
 
         with contextlib.ExitStack() as stack:
-            files = stack.enter_context(StageLog(rule))
+            files = steering.kept = stack.enter_context(StageLog(rule))
 
             def write(record: Record) -> None:
                 files.write(record)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import signal
+import time
 
 import pytest
 
-from lss_motion.stage.log import RING_MAX_BYTES, Ring, StageLog, Writer
+from lss_motion.stage.log import RING_MAX_BYTES, Ring, StageLog, Writer, why_not_writable
 from lss_motion.stage.model import LogRule
 
 NS = 1_000_000_000
@@ -83,6 +86,73 @@ def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
     writer.write(record(0))
     writer.write({"dump": "x", "content": "y"})
     assert writer.lost == 2
+
+
+@pytest.mark.parametrize("is_virtual", [False, True])
+def test_people_are_told_that_the_log_cannot_be_written_and_that_it_can(tmp_path, is_virtual):
+    folder = tmp_path / "log"
+    folder.write_text("not a folder")
+    texts = []
+
+    def written_until(count):
+        end_s = time.monotonic() + 20.0
+        while len(texts) < count and time.monotonic() < end_s:
+            texts.extend(log.take_texts())
+
+    with StageLog(LogRule(folder=folder, max_bytes=1_000_000), is_virtual=is_virtual) as log:
+        log.write(record(0))
+        written_until(1)
+        log.write(record(1))
+        assert texts == [f"the log cannot be written: {folder} is not a folder"]
+        folder.unlink()
+        log.write(record(2))
+        written_until(2)
+        assert texts[1:] in (["the log is written; 2 lines of it could not be"],
+                             ["the log is written; 1 line of it could not be"])  # fmt: skip
+    assert log.take_texts(is_last=True)[0].endswith("of the log could not be written")
+
+
+def test_what_was_lost_until_the_end_is_said_at_the_end(tmp_path):
+    (tmp_path / "log").write_text("not a folder")
+    with StageLog(LogRule(folder=tmp_path / "log", max_bytes=1_000_000)) as log:
+        for number in range(3):
+            log.write(record(number))
+    trouble = f"{tmp_path / 'log'} is not a folder"
+    assert log.take_texts(is_last=True) == [f"3 lines of the log could not be written: {trouble}"]
+
+
+def test_the_end_of_the_process_that_writes_is_said(tmp_path):
+    with StageLog(LogRule(folder=tmp_path / "log", max_bytes=1_000_000)) as log:
+        os.kill(log._child.pid, signal.SIGKILL)
+        log._child.wait(10.0)
+        texts, number = [], 0
+        while not texts and number < 1000:
+            log.write(record(number))
+            texts, number = log.take_texts(), number + 1
+        assert texts == ["the log cannot be written: the process that writes it has ended"]
+
+
+@pytest.mark.parametrize("case", ["file", "below_a_file", "read_only", "read_only_file", "full"])
+def test_a_log_that_could_not_be_written_is_known_before(tmp_path, monkeypatch, case):
+    folder, name = tmp_path / "log", "log"
+    assert why_not_writable(folder) is None
+    refused = {"read_only": tmp_path, "read_only_file": folder / "stage-2026-10-01-0000.jsonl"}
+    if case == "file":
+        folder.write_text("")
+    elif case == "below_a_file":
+        folder.write_text("")
+        name = "log/below"
+    elif case == "full":
+        usage = shutil.disk_usage(tmp_path)._replace(free=0)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    else:
+        if case == "read_only_file":
+            folder.mkdir()
+            refused[case].write_text("")
+        real = os.access
+        monkeypatch.setattr(os, "access", lambda p, m: p != refused[case] and real(p, m))
+    said = "full" if case == "full" else str(refused.get(case, folder))
+    assert said in why_not_writable(tmp_path / name)
 
 
 def test_the_process_writes_what_it_is_given_and_the_caller_never_waits(tmp_path):
