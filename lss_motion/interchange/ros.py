@@ -3,26 +3,31 @@
 Positions are radians (REP 103), or metres for a sliding joint; the file does not define which. A
 joint with the name of a sliding joint therefore needs a map.
 
-`yaml_tree` reads the YAML as nested texts, lists and mappings with line numbers. It constructs no
-objects, and it bounds size and depth. Unlike `files.yaml_source`, it keeps every scalar as text,
-and stops at the end of the first document (`ros2 topic echo` separates messages by documents).
+`yaml_trees` reads the YAML as nested texts, lists and mappings with line numbers. It constructs no
+objects, and it bounds size and depth. Unlike `files.yaml_source`, it keeps every scalar as text.
+`ros2 topic echo` separates messages by documents: joint states are a recording, of other messages
+the first is read.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
 from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
-from lss_motion.interchange.fields import NUMBER_MAX
+from lss_motion.interchange.fields import NUMBER_MAX, VALUE_MAX
 from lss_motion.interchange.reader import (
     Pose,
+    is_dense,
     motion_of_poses,
     read_or_refused,
     summarised,
@@ -31,7 +36,7 @@ from lss_motion.interchange.reader import (
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
@@ -50,13 +55,13 @@ class Node(Struct, frozen=True):
     """Number of nodes in it, with itself and with the content of aliases."""
 
 
-def yaml_tree(text: str, path: Path) -> Node:
-    """Return the first document of `text`, or raise `InputError` with the line."""
+def yaml_trees(text: str, path: Path) -> Iterator[Node]:
+    """Yield the documents of `text`, at least one, or raise `InputError` with the line."""
     import yaml
 
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     try:
-        return _Builder(path, yaml.parse(text, Loader=loader)).document()
+        yield from _Builder(path, yaml.parse(text, Loader=loader)).documents()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = None if mark is None else mark.line + 1
@@ -72,16 +77,19 @@ class _Builder:
         self._anchors: dict[str, Node] = {}
         self._nodes_count = 0
 
-    def document(self) -> Node:
+    def documents(self) -> Iterator[Node]:
+        is_empty = True
         for event in self._events:
-            if type(event).__name__ in {
-                "ScalarEvent",
-                "AliasEvent",
-                "MappingStartEvent",
-                "SequenceStartEvent",
-            }:
-                return self._node(event, 0)
-        raise InputError("is empty", path=self._path)
+            match type(event).__name__:
+                case "DocumentStartEvent":
+                    self._anchors.clear()
+                case "ScalarEvent" if not event.value and not is_empty:
+                    pass  # An echo ends in `---`.
+                case "ScalarEvent" | "AliasEvent" | "MappingStartEvent" | "SequenceStartEvent":
+                    is_empty = False
+                    yield self._node(event, 0)
+        if is_empty:
+            raise InputError("is empty", path=self._path)
 
     def _node(self, event: Any, depth: int) -> Node:  # noqa: ANN401  yaml seam
         line = event.start_mark.line + 1
@@ -145,6 +153,10 @@ Assumed: the publisher of ros2_controllers_test_nodes uses this time."""
 _POINT_EXTRAS: Final = ("velocities", "accelerations", "effort", "efforts")
 
 
+_STATE: Final = re.compile(rb"^name:.{0,20000}?^position:", re.DOTALL | re.MULTILINE)
+"""A message of joint states, after its header."""
+
+
 class RosReader(Struct, frozen=True):
     """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`.
 
@@ -159,12 +171,18 @@ class RosReader(Struct, frozen=True):
             return True
         if b"goal_names" in data and b"joints" in data:
             return True
+        if _STATE.search(data) is not None:
+            return True
         has_times = b"time_from_start" in data or b"times_from_start" in data
         return b"motions" in data and b"joints" in data and has_times
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         file = _RosFile(path)
-        top = file.unwrapped(yaml_tree(text_of(data, path), path))
+        trees = yaml_trees(text_of(data, path), path)
+        first = next(trees)
+        if isinstance(first.value, dict) and {"name", "position"} <= first.value.keys():
+            return (file.states(path.stem, chain([first], trees)),)
+        top = file.unwrapped(first)
         if "joint_names" in top:
             return (file.motion(path.stem, top, top["joint_names"]),)
         if "goal_names" in top:
@@ -197,6 +215,36 @@ class _RosFile:
             if inner is None or not isinstance(inner.value, dict):
                 self.refuse(node, "must have 'joint_names' and 'points', or 'motions'")
             node = inner
+
+    def states(self, name: str, messages: Iterable[Node]) -> ForeignMotion:
+        """Return the recording of joint states, each with its stamp."""
+        poses: list[Pose] = []
+        for number, node in enumerate(messages, start=1):
+            where = f"message {number}"
+            message = self.mapping(node, where)
+            if not {"name", "position", "header"} <= message.keys():
+                self.refuse(node, f"{where} needs a 'header', 'name' and 'position'")
+            header = self.mapping(message["header"], "'header'")
+            if "stamp" not in header:
+                self.refuse(message["header"], f"{where}: its header has no 'stamp'")
+            names = [str(item.value) for item in self.items(message["name"], "'name'")]
+            values = [self.number(item) for item in self.items(message["position"], "'position'")]
+            if len(values) != len(names) or len(set(names)) < len(names):
+                self.refuse(node, f"{where} has {len(values)} positions for {len(names)} joints")
+            poses.append(
+                Pose(
+                    at_s=self._time(header["stamp"]),
+                    values=dict(zip(names, values, strict=True)),
+                    place=where,
+                    line=node.line,
+                )
+            )
+        comments = [f"Imported from {self.path.name} (ROS, joint states)."]
+        motion = motion_of_poses(
+            self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments
+        )
+        is_recording = any(is_dense(channel.times_s) for channel in motion.channels)
+        return replace(motion, is_recording=is_recording)
 
     def goals(self, name: str, top: dict[str, Node]) -> ForeignMotion:
         """Return the goals that a publisher sends, one every `wait_sec_between_publish`."""
@@ -306,20 +354,26 @@ class _RosFile:
     def _time(self, node: Node) -> float:
         if isinstance(node.value, str):
             return self.number(node)
+        if isinstance(node.value, list):  # As `rostopic pub` accepts it.
+            if len(node.value) != 2:
+                self.refuse(node, "a time as a list must be [seconds, nanoseconds]")
+            return self.number(node.value[0], VALUE_MAX) + self.number(node.value[1]) / NS_PER_S
         parts = self.mapping(node, "a time")
         seconds = next((parts[key] for key in ("sec", "secs") if key in parts), None)
         rest = next((parts[key] for key in ("nanosec", "nsecs", "nanosecs") if key in parts), None)
         if seconds is None:
             self.refuse(node, "a time must be seconds, or {sec: ..., nanosec: ...}")
-        return self.number(seconds) + (0.0 if rest is None else self.number(rest) / NS_PER_S)
+        return self.number(seconds, VALUE_MAX) + (
+            0.0 if rest is None else self.number(rest) / NS_PER_S
+        )
 
-    def number(self, node: Node) -> float:
+    def number(self, node: Node, maximum: float = NUMBER_MAX) -> float:
         """Return the number in `node`, or raise `InputError`."""
         try:
             value = float(node.value) if isinstance(node.value, str) else math.nan
         except ValueError:
             value = math.nan
-        if not abs(value) <= NUMBER_MAX:
+        if not abs(value) <= maximum:
             self.refuse(node, f"{node.value!r:.60} is not a number, or out of range")
         return value
 

@@ -151,3 +151,30 @@ def test_goals_that_do_not_fit_are_refused_with_their_line(refusal, old, new, li
     error = refusal(RosReader(), PUBLISHER.replace(old, new))
     assert re.search(reason, error.reason)
     assert error.line in (line, line + 1)
+
+
+@pytest.mark.parametrize("time", ["[1, 500000000]", "{secs: 1, nsecs: 500000000}", "1.5"])
+def test_a_time_has_the_forms_of_both_generations(read_one, time: str) -> None:
+    text = MESSAGE.replace("{sec: 1, nanosec: 500000000}", time)
+    assert read_one(RosReader(), text).channels[0].times_s.tolist() == [0.0, 1.5]
+
+
+def test_a_time_of_a_list_of_three_is_refused(refusal) -> None:
+    text = MESSAGE.replace("{sec: 1, nanosec: 500000000}", "[1, 2, 3]")
+    assert "must be [seconds, nanoseconds]" in refusal(RosReader(), text).reason
+
+
+def test_an_echo_of_joint_states_is_a_recording(read_one, refusal) -> None:
+    text = "".join(
+        f"header:\n  stamp:\n    sec: {1700000000 + n // 20}\n    nanosec: {n % 20 * 50_000_000}\n"
+        f"  frame_id: ''\nname:\n- a\n- b\nposition:\n- {n / 100}\n- 0.5\nvelocity: []\n"
+        "effort: []\n---\n"
+        for n in range(40)
+    )
+    motion = read_one(RosReader(), text)
+    a, b = motion.channels
+    assert motion.is_recording
+    assert (a.name, a.unit, len(a.values)) == ("a", Unit.RAD, 40)
+    assert a.times_s[39] - a.times_s[0] == pytest.approx(1.95, abs=1e-6)
+    assert set(b.values.tolist()) == {0.5}
+    assert "'header'" in refusal(RosReader(), text.replace("header:", "top:")).reason
