@@ -34,6 +34,7 @@ from lss_motion.stage.model import (
     StageShow,
     Trigger,
 )
+from lss_motion.stage.timecode.timecode import FPS_29_97_DROP, RATES, Rate, Timecode
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -83,9 +84,6 @@ SACN_ABOVE: Final = 127.0
 RATE_FPS: Final = 25.0
 """Of the timecodes in a file, if nothing gives another rate."""
 
-DROP_FPS: Final = 30_000 / 1001
-"""Timecodes with `;` leave out two frames of each minute but every tenth (SMPTE ST 12-1)."""
-
 
 def load_stage(path: Path | str) -> Stage:
     """Return the stage of a file, with its robot.
@@ -124,17 +122,10 @@ def timecode_s(text: str, rate_fps: float) -> float | None:
 
     None: there is no such frame.
     """
-    hours, minutes, seconds, frames = map(int, re.split("[:;]", text))
-    is_drop = ";" in text
-    count = 30 if is_drop else round(rate_fps)
-    is_dropped = is_drop and seconds == 0 and frames < 2 and minutes % 10 != 0
-    if hours > 23 or minutes > 59 or seconds > 59 or frames >= count or is_dropped:
-        return None
-    number = ((hours * 60 + minutes) * 60 + seconds) * count + frames
-    if not is_drop:
-        return number / rate_fps if rate_fps != round(rate_fps) else number / count
-    total = hours * 60 + minutes
-    return (number - 2 * (total - total // 10)) / DROP_FPS
+    label = Timecode(*map(int, re.split("[:;]", text)))
+    name = FPS_29_97_DROP.name if ";" in text else f"{rate_fps:g}"
+    rate = RATES.get(name) or Rate(name, round(rate_fps), rate_fps)
+    return label.at_s(rate) if label.is_valid(rate) else None
 
 
 @dataclass(slots=True)

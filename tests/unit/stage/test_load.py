@@ -158,12 +158,17 @@ shows: {hello: {left: hello.yaml, right: scare.yaml}, all: hello.yaml}
         ("00:10:00;00", 29.97, 17_982 * 1001 / 30_000),
         ("00:01:00;02", 29.97, 1800 * 1001 / 30_000),
         ("00:01:00;00", 29.97, None),
+        ("23:00:00:00", 29.97, 23 * 3603.6),
+        ("23:00:00:00", 23.976, 23 * 3603.6),
+        ("00:00:01:49", 50, 1.98),
         ("00:00:00:25", 25, None),
         ("24:00:00:00", 25, None),
     ],
 )
 def test_a_timecode_is_a_time(text, rate_fps, expected):
-    assert timecode_s(text, rate_fps) == (None if expected is None else pytest.approx(expected))
+    assert timecode_s(text, rate_fps) == (
+        None if expected is None else pytest.approx(expected, abs=1e-6)
+    )
 
 
 def test_the_schema_accepts_a_stage(kit):
