@@ -27,6 +27,7 @@ from lss_motion.errors import (
     EXIT_NOT_FOLLOWED,
     InputError,
     LostPortError,
+    PlaybackError,
 )
 from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
 from lss_motion.system.signals import as_program
@@ -353,6 +354,9 @@ def _perform(
             may_run=True,
             sound=terminal.sound,
         )
+        if link.is_over and result.error is None and result.report.outcome == "stopped":
+            reason = "the timecode was beyond the end of the show, and is gone: the show was ended"
+            result = replace(result, error=PlaybackError(reason))
         return result, confirmation.is_careful
 
 

@@ -109,6 +109,11 @@ class Link:
         self._source, self._outs = source, outs
         self.following = None if source is None else Following(rule)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the timecode that was followed is gone, beyond the end of the show."""
+        return self.following is not None and self.following.is_over
+
     def controls(
         self,
         inner: Controls[Player],

@@ -270,6 +270,40 @@ def test_what_is_sent_over_the_network_is_in_step_with_the_show():
     assert Timecode(*map(int, text.split(":"))).at_s(FPS_25) == pytest.approx(seconds, abs=1e-4)
 
 
+@pytest.mark.slow
+def test_timecode_that_ends_beyond_the_end_of_the_show_ends_the_program_with_a_code(tmp_path):
+    (tmp_path / "show.yaml").write_text(
+        "sequence: show\nrobot: robot.yaml\n"
+        "keyframes: [{at_s: 0, deg: {j: 0}}, {at_s: 1, deg: {j: 9}}]\n"
+    )
+    (tmp_path / "robot.yaml").write_text(
+        "robot: arm\ndefaults: {model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}\n"
+        "joints: {j: {id: 1, range_deg: [-90, 90]}}\n"
+    )
+    words = ["-m", "lss_motion.cli.play", "show.yaml", "--follow", "artnet", "--freewheel", "0.5"]
+    with (
+        subprocess.Popen(
+            [sys.executable, *words, "--offset-s", "01:00:00:00"],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        ) as child,
+        socket.socket(type=socket.SOCK_DGRAM) as desk,
+    ):
+        said = []
+        for line in child.stdout:
+            said.append(line)
+            if "waits for its leader" in line:
+                for number in range(20):
+                    frame = bytes((number, 20, 0, 1, 1))
+                    packet = b"Art-Net\0\x00\x97\x00\x0e\0\0" + frame
+                    desk.sendto(packet, ("127.0.0.1", ARTNET_PORT))
+                    time.sleep(0.04)
+    assert child.returncode == 5
+    assert "beyond the end of the show, and is gone" in said[-1]
+
+
 def test_a_source_that_is_not_there_says_so():
     with pytest.raises(InputError, match="--follow mtc"):
         TimecodeSource(read_follow("mtc:no such port"))
