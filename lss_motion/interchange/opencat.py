@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.files.source import counted
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     VALUES_MAX,
@@ -124,7 +125,7 @@ def _motion(lines: TextLines, line: int, name: str, text: str) -> ForeignMotion:
     period, ratio = numbers[0], numbers[3]
     if ratio < 1:
         lines.refuse(line, f"{name}: ratio {ratio} must be 1 or more")
-    skill = _skill(lines, line, name, numbers)
+    skill, beyond = _skill(lines, line, name, text, numbers)
     about = [f"Imported from {lines.path.name} (OpenCat skill {name})."]
     if period > 1:
         about.append(
@@ -140,6 +141,8 @@ def _motion(lines: TextLines, line: int, name: str, text: str) -> ForeignMotion:
             f"A step of one degree at speed {SPEED_PER_DEG:g} is assumed to take {STEP_S:g} s."
         ]
         about += summarised(notes)
+    if beyond:
+        about += summarised([f"{beyond} numbers after the {counted(skill.frames, 'frame')}"])
     about += summarised([f"roll {numbers[1]}, pitch {numbers[2]}"] * any(numbers[1:3]))
     for index, pose in enumerate(poses):
         poses[index] = Pose(at_s=pose.at_s, hold_s=pose.hold_s, values=pose.values, line=line)
@@ -153,25 +156,58 @@ def _int8(lines: TextLines, line: int, name: str, word: str) -> int:
     return int(number)
 
 
-def _skill(lines: TextLines, line: int, name: str, numbers: list[int]) -> _Skill:
+def _skill(
+    lines: TextLines, line: int, name: str, text: str, numbers: list[int]
+) -> tuple[_Skill, int]:
+    """Return the frames that the header counts, and how many numbers follow them.
+
+    A board reads no further than its header says.
+    """
     period, ratio = numbers[0], numbers[3]
     header = HEADER_COUNT if period > 0 else BEHAVIOUR_HEADER_COUNT
     tail_count = 0 if period > 0 else TAIL_COUNT
-    size, left = divmod(len(numbers) - header, abs(period))
+    size = _frame_size(text, len(numbers), period, header, tail_count)
     count = size - tail_count
-    if left or not 0 < count <= JOINTS_COUNT:
+    if not 0 < count <= JOINTS_COUNT:
         lines.refuse(
             line,
             f"{name}: {len(numbers)} numbers do not make {abs(period)} frames of 1 to "
             f"{JOINTS_COUNT} joints: is the array cut short?",
         )
-    rows = [numbers[at : at + size] for at in range(header, len(numbers), size)]
+    end = header + size * abs(period)
+    rows = [numbers[at : at + size] for at in range(header, end, size)]
     first = JOINTS_COUNT - count if period > 1 else 0
-    return _Skill(
+    skill = _Skill(
         frames=[[float(ratio * angle) for angle in row[:count]] for row in rows],
         tails=[row[count:] for row in rows],
         joints=[f"J{first + index}" for index in range(count)],
     )
+    return skill, len(numbers) - end
+
+
+def _frame_size(text: str, total: int, period: int, header: int, tail_count: int) -> int:
+    """Return how many numbers a frame has, or 0.
+
+    An array that is longer than its header says has frames of all joints, or, in a gait, as many
+    numbers as each of its lines.
+    """
+    size, left = divmod(total - header, abs(period))
+    fits = not left and tail_count < size <= JOINTS_COUNT + tail_count
+    if period > 1:
+        widths = [sum(1 for word in row.split(",") if word.strip()) for row in text.split("\n")]
+        rows, before = [], 0
+        for width in widths:
+            if before >= header and width:
+                rows.append(width)
+            before += width
+        is_even = len(set(rows)) == 1 and sum(rows) == total - header
+        is_longer = is_even and len(rows) > period and rows[0] <= JOINTS_COUNT
+        if is_longer and not (fits and len(rows) % period == 0):
+            return rows[0]
+    if fits:
+        return size
+    whole = JOINTS_COUNT + tail_count
+    return whole if total - header > whole * abs(period) else 0
 
 
 def _gait(skill: _Skill) -> list[Pose]:

@@ -108,3 +108,20 @@ def test_an_array_that_was_cut_off_is_listed_and_refused() -> None:
     assert isinstance(hi, RefusedMotion)
     assert hi.name == "hi"
     assert str(hi.error) == "m:7: this array has no end: the file was cut off"
+
+
+def test_numbers_after_the_frames_of_the_header_are_left_out(read_one) -> None:
+    row = "10, 0, 0, 0, 0, 0, 0, -50,\n"
+    walk = f"const int8_t w[] PROGMEM = {{\n2, 0, 0, 1,\n{row}{row}{row}}};\n"
+    motion = read_one(OpenCatReader(), walk)
+    assert [channel.name for channel in motion.channels] == [f"J{n}" for n in range(8, 16)]
+    assert len(motion.channels[0].values) == 3
+    assert "Not carried over: 8 numbers after the 2 frames" in motion.comments
+    up = read_one(OpenCatReader(), POSTURE.replace("16,}", "16, 0, 0, 0}"))
+    assert [channel.values.tolist() for channel in up.channels] == [[n] for n in range(1, 17)]
+    assert "Not carried over: 3 numbers after the 1 frame" in up.comments
+    hi = read_one(
+        OpenCatReader(), BEHAVIOUR.replace("{\n-3", "{\n-2").replace("1, 2, 3", "0, 0, 0")
+    )
+    assert hi.channels[0].values.tolist() == [0.0, 40.0]
+    assert "Not carried over: 20 numbers after the 2 frames" in hi.comments
