@@ -79,6 +79,7 @@ class StageJob(Struct, frozen=True, kw_only=True):
                 self.planned, options, steerer=steering, note=log.write, legs=legs, outs=outs
             )
             steering.begin(run)
+            run.record("begins", "the stage begins")
             for text in texts:
                 run.record("timecode", f"timecode: {text}")
             try:
@@ -255,7 +256,7 @@ class StageSteering(Steering):
             raise InputError(f"{operation.op} is for a robot that is connected: not now")
 
     def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
-        if self._has_stopped or player.is_finished or not self._direct(operation):
+        if not self._direct(operation):  # A run that ends plays no cue; the director notes that.
             super()._apply(operation, player, now_ns)
 
     def _direct(self, operation: m.AnyOperation) -> bool:

@@ -87,6 +87,8 @@ class Night:
     rests_s: dict[str, float] = field(default_factory=dict)
     """How long the figure rested, by reason."""
     connects: int = 0
+    restarts: int = 0
+    """How often the stage began anew: for new files, or after its process had ended."""
     hottest_c: float | None = None
     hottest: str = ""
     hottest_at: str = ""
@@ -123,10 +125,15 @@ def read_night(folder: Path, since: datetime | None = None) -> Night:
     if not chosen:
         raise InputError(f"has no line since {since:%Y-%m-%d %H:%M}", path=folder)
     night = Night(begins=chosen[0][0], ends=chosen[-1][0], broken_lines=broken["lines"])
+    before_at = night.begins
     for at, record in chosen:
+        if record.get("kind") in ("begins", "must_restart"):  # No rest outlives its process.
+            _change_rest(night, before_at, [])
+        if record.get("kind") == "begins" and record is not chosen[0][1]:
+            night.restarts += 1
         _add(night, at, record)
-    for reason, from_at in night._resting.items():  # noqa: SLF001
-        _rested(night, reason, from_at, night.ends)
+        before_at = at
+    _change_rest(night, night.ends, [])
     night.dumps = tuple(file.name for file in sorted(folder.glob(f"{FAULT_PREFIX}*.log")))
     return night
 
@@ -293,6 +300,8 @@ def text_of(night: Night) -> list[str]:
         lines.append(
             f"worst error: {night.worst} {night.error_max_deg:.1f} deg in {night.worst_show}"
         )
+    if night.restarts:
+        lines.append(f"began anew: {counted(range(night.restarts), 'time')}")
     lines += ["", "show            plays  finished  left  minutes  worst error"]
     for name, show in sorted(night.shows.items(), key=lambda item: -item[1].plays):
         lines.append(

@@ -108,6 +108,14 @@ class Records:
         self._refusals[key] = [0]
         self.note("refused", order.text, cue=order.cue, reason=order.reason, count=1)
 
+    def note_waiting(self, director: Director, now_ns: int) -> None:
+        """Note the shows of cues that have fired, but are not played: the stage has ended."""
+        for one in (*director.queue, *director.left):
+            reason = "the stage has ended"
+            self.note_order(
+                orders.ShowRefused(cue=one.cue.name, show=one.show, reason=reason), now_ns
+            )
+
     def note_counts(self, now_ns: int, *, is_last: bool = False) -> None:
         """Note how often cues were refused since the first time, once a minute."""
         if self._counted_ns is None:

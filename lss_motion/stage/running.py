@@ -630,7 +630,9 @@ class StageRun:
             self._steerer.note(record)
 
     def note_counts(self, *, is_last: bool = False) -> None:
-        """Note how often cues were refused, once a minute."""
+        """Note how often cues were refused, once a minute; at the end what still waited, too."""
+        if is_last:
+            self._records.note_waiting(self.director, self.now_ns)
         self._records.note_counts(self.now_ns, is_last=is_last)
 
     def state_of(self) -> Record:

@@ -136,6 +136,37 @@ def test_a_client_triggers_enables_and_stops_a_stage_and_sees_all_of_it(planned)
     assert [one.name for one in steering.of(m.ShowStarted)][:2] == ["idle", "hello"]
 
 
+def test_a_cue_that_comes_as_the_stage_ends_is_noted(planned):
+    steering, _ = play(planned, [
+        (5.0, m.Stop(id=1)), (5.0, s.Trigger(id=2, kind="http", address="door")),
+    ])  # fmt: skip
+    notes = {(one.kind, one.cue) for one in steering.of(s.StageNote)}
+    assert notes & {("refused", "door"), ("not_played", "door")}
+
+
+def test_what_waits_as_the_stage_ends_is_noted(tmp_path):
+    for name, text in FILES.items():
+        queued = text.replace("door}, play: hello", "door}, play: hello, start: queue")
+        (tmp_path / f"{name}.yaml").write_text(queued)
+    steering = Scripted([
+        (5.0, s.Cue(id=1, label="button")), (5.5, s.Cue(id=2, label="door")),
+        (5.7, m.Stop(id=3)),
+    ])  # fmt: skip
+    planned = plan_stage(load_stage(tmp_path / "stage.yaml"))
+    run = StageRun(planned, Options(is_virtual=True), steerer=steering)
+    steering.begin(run)
+    run.play()
+    run.note_counts(is_last=True)
+    notes = [(one.kind, one.cue) for one in steering.of(s.StageNote)]
+    notes += [
+        (one.kind, one.cue) for one in read(steering.client)[0] if isinstance(one, s.StageNote)
+    ]
+    assert ("fired", "door") in notes
+    assert ("not_played", "door") in notes
+    steering.client.close()
+    steering.operator.link.close()
+
+
 def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned, tmp_path):
     options = {"is_virtual": True, "lasts_s": 20.0, "log_folder": str(tmp_path), "seed": 3}
     process = start_process(packed(stage_job(planned)), options=options)
@@ -154,7 +185,9 @@ def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned
     assert [one.exit_code for one in events if isinstance(one, m.Ended)] == [None]
     (file,) = tmp_path.glob("stage-*.jsonl")
     records = [json.loads(line) for line in file.read_text().splitlines()]
-    assert [one["kind"] for one in records][:3] == ["connecting", "connected", "started"]
+    assert [one["kind"] for one in records][:4] == [
+        "begins", "connecting", "connected", "started",
+    ]  # fmt: skip
 
 
 def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():

@@ -221,6 +221,7 @@ class ConductedStage:
 
     def note_counts(self) -> None:
         """Keep what was counted since the last time."""
+        self.records.note_waiting(self.director, self.now_ns)
         self.records.note_counts(self.now_ns, is_last=True)
 
     # ---- the timecode

@@ -134,6 +134,7 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
                 plays_first=bool(options.get("goes")),
             )
             steering.begin_conducting(run)
+            run.records.note("begins", "the stage begins")
 
             def act(now_ns: int) -> bool:
                 steering.act(None, now_ns)

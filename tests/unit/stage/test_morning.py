@@ -93,3 +93,31 @@ def test_the_command_prints_json_and_writes_a_page_with_plots(folder, tmp_path, 
     assert main(["morning", str(folder), "--since", "yesterday"]) == EXIT_INPUT
     assert main(["morning", str(tmp_path / "no")]) == EXIT_INPUT
     assert "has no log of a stage" in capsys.readouterr().err
+
+
+def of_lines(tmp_path, *lines):
+    texts = [
+        json.dumps({"t": f"2026-10-30T{t}+01:00", "kind": kind, "text": "", **more})
+        for t, kind, more in lines
+    ]
+    (tmp_path / "stage-2026-10-30-0000.jsonl").write_text("\n".join([*texts, ""]))
+    return read_night(tmp_path)
+
+
+@pytest.mark.parametrize("cut", ["must_restart", "begins"])
+def test_a_rest_ends_with_its_process_and_restarts_are_counted(tmp_path, cut):
+    """New files end a process with a line, a power cut without one."""
+    night = of_lines(
+        tmp_path,
+        ("18:00:00", "begins", {}),
+        ("18:10:00", "rest", {"reasons": ["quiet hours"]}),
+        ("18:20:00", "connecting", {}),
+        ("18:20:00" if cut == "must_restart" else "19:00:00", cut, {}),
+        ("19:00:01", "begins", {}),
+        ("21:00:00", "rest", {"reasons": ["too hot (jaw)"]}),
+        ("21:01:00", "rest", {"reasons": []}),
+        ("22:00:00", "note", {}),
+    )
+    assert night.rests_s == {"quiet hours": 600.0, "too hot": 60.0}
+    assert night.restarts == (1 if cut == "must_restart" else 2)
+    assert f"began anew: {night.restarts} time" in "\n".join(text_of(night))
