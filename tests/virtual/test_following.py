@@ -341,6 +341,33 @@ def test_garbage_legs_break_no_limit_and_end_in_step(stage, robot, show):
     assert np.abs(leader.off_s(15.0)).max() < 2e-3
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_after_any_legs_silence_lets_a_show_that_has_begun_come_to_its_end(
+    stage, robot, show, seed
+):
+    luck = np.random.default_rng(seed)
+    turns = [(float(luck.uniform(-3.0, 14.0)), float(luck.choice([0.0, 1.0]))) for _ in range(4)]
+
+    def at(s):
+        if s < 5.0:
+            return s - 3.0, 1.0
+        if s >= 11.0:
+            return None
+        place_s, rate = turns[int((s - 5.0) / 1.5)]
+        return place_s + rate * ((s - 5.0) % 1.5), rate
+
+    def end(own, player, now_ns):
+        """Stop it as `FollowControls` does, or fail a show that would hold for ever."""
+        if own.following.is_over:
+            player.stop(now_ns)
+
+    leader = Leader(at)
+    leader.acts = [(float(s), end) for s in range(12, 60)]
+    played = leader.play(stage, robot, show)
+    assert played.report.outcome == ("stopped" if leader.following.is_over else "finished")
+    assert_limits_hold(played, robot)
+
+
 def test_a_plan_with_headroom_keeps_the_limits_when_it_is_trimmed(kit, robot):
     show = kit.sequence(2, 6.0, step_s=(0.25, 0.4))  # Too fast: it is slowed to the limits.
     times_s = np.arange(0.0, 6.0, 0.001)

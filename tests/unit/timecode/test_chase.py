@@ -176,6 +176,19 @@ def test_after_whatever_a_leader_does_silence_ends_in_lost(state):
     assert deck.run(0.08).chase.state is State.LOCKED
 
 
+def test_whatever_comes_before_it_silence_ends_in_lost():
+    for seed in range(200):
+        luck, deck = random.Random(seed), Deck(freewheel_s=1.0)
+        for _ in range(luck.randint(1, 8)):
+            rate, direction = luck.choice([(1.0, 1), (0.0, 0), (0.0, 1), (-1.0, -1), (1.7, 1)])
+            deck.at_s += luck.choice([0.0, 0.0, 30.0])
+            is_heard, source = luck.random() < 0.8, luck.choice("aab")
+            deck.run(luck.uniform(0.04, 1.0), rate, source, is_heard, direction)
+        had_state = deck.chase.state is not State.SEARCHING
+        deck.run(1.6, is_heard=False)
+        assert deck.chase.state is (State.LOST if had_state else State.SEARCHING), seed
+
+
 def test_of_two_sources_the_first_is_kept_until_it_is_gone():
     deck = Deck().run(2.0)
     for _ in range(50):
