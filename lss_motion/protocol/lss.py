@@ -686,10 +686,9 @@ PRIVATE: Final = (
         for name, meaning, actions, queries, configs, maximum, default in (
             ("Y", "control mode", ("Y",), ("QY",), (), 255, 0),
             ("CR", "acknowledgement of commands, on (1) or off (0)", ("ECR",), ("QCR",), (), 1, 0),
-            ("TQM", "largest torque", ("TQM",), ("QTQM",), (), 1023, 1023),
+            ("TQM", "largest torque", ("TQM",), ("QTQM",), ("CGM",), 1023, 1023),
             ("IS", "colours of the LED at start", (), ("QIS",), ("CIS",), 1023, 0),
             ("RIS", "colours of the LED at start in RC mode", (), ("QRIS",), ("CRIS",), 1023, 0),
-            ("GM", "gain", ("CGM",), (), (), 1023, 0),
         )
     ),
     Row(

@@ -122,6 +122,8 @@ class SimBus:
         self._by_id: dict[int, list[Servo]] = {}
         self._usb_servo = next(is_pro, None)
         """The LSS-PRO at the end of the USB cable: the first one. The others are behind it."""
+        if self._usb_servo is not None:
+            self._usb_servo.connect_usb()
         self._boards = self._make_boards(servos, own_count, inputs or {}, seed)
 
     def _make_boards(

@@ -172,6 +172,8 @@ class Readings:
         self._random = random
         self.serial_number = f"{random.randrange(10**7, 10**8)}"
         self._last_target = 0
+        self.has_usb = False
+        """Whether the host talks to this servo by USB, and to the others through it."""
         is_pro = self._table.family is Family.LSS_PRO
         physics = motors.physics
         self._noise_deg = physics.noise_deg * (physics.pro_noise_ratio if is_pro else 1.0)
@@ -195,6 +197,7 @@ class Readings:
             "N": lambda _: self.serial_number,
             "F": lambda _: self._firmware,
             "FR": lambda _: self._firmware,
+            "UC": lambda _: int(self.has_usb),
         }
         self.measured = {name: take for name, take in measured.items() if name not in spec.answers}
         """What the servo measures or is, by row name: the answers to queries without suffix."""

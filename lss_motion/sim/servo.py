@@ -330,6 +330,10 @@ class Servo:
         self._armed: str | None = None
         self._apply_session(0)
 
+    def connect_usb(self) -> None:
+        """Be the servo at the end of the USB cable."""
+        self._readings.has_usb = True
+
     def power_up(self, now_ns: int) -> None:
         """Start with the stored values: RC mode, and a first position (FACTS.md R6, R14)."""
         self._rc.start(now_ns)

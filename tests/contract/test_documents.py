@@ -351,12 +351,6 @@ def check_baud(host: Host, family: Family, line: str) -> None:
     assert host.query("#207QB") == b""
 
 
-def check_ignored(host: Host, family: Family, line: str) -> None:
-    """No source states its effect: the servo takes it and goes on as before."""
-    assert moved(host, line + "5") == 0.0
-    assert host.query("#5Q") == b"*5Q1\r"
-
-
 def check_level(host: Host, family: Family, line: str) -> None:
     host.send(line + "200")
     assert host.query("#203QA") == b"*203QA1023\r"
@@ -404,7 +398,6 @@ EFFECTS = {
     "CONFIRM": check_confirm,
     "CRC": check_rc,
     "CID": check_board_id,
-    "CGM": check_ignored,
     "CB": check_baud,
 }
 """Checks of keywords that no query can verify."""

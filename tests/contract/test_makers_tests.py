@@ -123,11 +123,11 @@ def test_an_acknowledging_servo_repeats_what_it_received():
 
 
 @pytest.mark.parametrize(
-    ("command", "query"), [("Y1", "QY"), ("PO50", "QPO"), ("CPO-50", "QPO"), ("TQM500", "QTQM")]
+    ("command", "query"),
+    [("Y1", "QY"), ("PO50", "QPO"), ("CPO-50", "QPO"), ("TQM500", "QTQM"), ("CGM500", "QTQM")],
 )
 def test_private_settings_are_kept(command, query):
     bench = Bench(369)
     bench.write(command)
-    value = command.lstrip("CPOYTQM")
+    value = command.lstrip("CGPOYTQM")
     assert bench.read(query) == f"*5{query}{value}\r"
-    assert bench.read("CGM100") == ""

@@ -9,7 +9,7 @@ from lss_motion.protocol.lss_pro import Units
 from lss_motion.protocol.table import ReplyShape
 from lss_motion.robot.model import ServoModel
 from lss_motion.robot.servo_models import SERVO_MODELS, with_units
-from lss_motion.sim.physics import Physics
+from lss_motion.sim.physics import Physics, ServoSpec
 from tests.tables import titled
 
 DIALOGUES = {
@@ -195,3 +195,9 @@ def test_every_query_of_the_table_is_answered_in_its_shape(make_host, make_servo
             assert re.fullmatch(rf"\*5{keyword}({shapes[row.reply_shape]})\|", reply), reply
             asked += 1
     assert asked > 30
+
+
+def test_the_first_lss_pro_is_at_the_usb_cable_and_the_others_are_behind_it(make_host):
+    pro = next(one for one in SERVO_MODELS.values() if one.family is Family.LSS_PRO)
+    host = make_host(ServoSpec(servo_id=7, model=pro), ServoSpec(servo_id=8, model=pro))
+    host.talk("#7QUC=1 #8QUC=0")
