@@ -310,7 +310,13 @@ def csv_rows(lines: TextLines) -> CsvRows:
 
 
 _LONG_NAMES: Final = ("servo", "joint")
-_LONG_VALUES: Final = ("deg", "rad", "us")
+_LONG_VALUES: Final = ("position", "angle", "value", "pos")
+
+
+def _is_value(name: str) -> bool:
+    """Return whether a column of a long table has the values: `deg`, `position (rad)`."""
+    base, unit = name_and_unit(name)
+    return name in {"deg", "rad", "us"} or (base in _LONG_VALUES and unit in _ANGLE_UNITS)
 
 
 class CsvReader(Struct, frozen=True):
@@ -332,14 +338,14 @@ class CsvReader(Struct, frozen=True):
             seconds_of(name) or (is_time_name(name) and _is_instant(name)) for name in header
         ):
             return False
-        first = next((row for at, row in rows if at > first_row), "")
+        first = next((row for at, row in rows if at > first_row and not row.startswith("#")), "")
         cells = cells_of(first, delimiter)
         return delimiter != " " or (len(cells) == len(header) and _are_values(cells, delimiter))
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         table = csv_rows(TextLines.of(path, data))
         header = [name.lower() for name in table.header]
-        is_long = any(n in header for n in _LONG_NAMES) and any(v in header for v in _LONG_VALUES)
+        is_long = any(n in header for n in _LONG_NAMES) and any(map(_is_value, header))
         return (_long(table, header) if is_long else _wide(table),)
 
 
@@ -432,8 +438,8 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     lines = table.lines
     time_at, second = table.time_column()
     name_at = next(header.index(name) for name in _LONG_NAMES if name in header)
-    unit_name = next(name for name in _LONG_VALUES if name in header)
-    value_at = header.index(unit_name)
+    value_at = next(at for at, name in enumerate(header) if _is_value(name))
+    unit = _ANGLE_UNITS[name_and_unit(header[value_at])[1] or header[value_at]]
     ease_at = header.index("ease") if "ease" in header else None
     samples: dict[str, dict[float, tuple[float, int]]] = {}
     eases: dict[float, Interpolation] = {}
@@ -458,7 +464,7 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     extra = [
         n for i, n in enumerate(table.header) if i not in {time_at, name_at, value_at, ease_at}
     ]
-    channels = tuple(_channel(joint, Unit(unit_name), own) for joint, own in samples.items())
+    channels = tuple(_channel(joint, unit, own) for joint, own in samples.items())
     dense = [is_dense(channel.times_s) for channel in channels]
     return ForeignMotion(
         path=lines.path,

@@ -123,6 +123,23 @@ def read_motion(
     return chosen
 
 
+OTHERS: Final = (
+    (
+        b"\x93NUMPY",
+        "a NumPy array",
+        "write it with numpy.savetxt(file, array, delimiter=',', header='time_s,<joint>_rad,…')",
+    ),
+    (b".npy", "NumPy arrays", "write them as one CSV table with numpy.savetxt"),
+    (
+        b"<ChoregrapheProject",
+        "a Choregraphe behaviour",
+        "export its timeline to Python, and write its names, times and keys as a CSV table",
+    ),
+)
+"""Beginning of a file that cannot be read, what it is, and what to do."""
+OTHERS_HEAD_BYTES: Final = 4096
+
+
 def read_motions(
     path: Path | str,
     *,
@@ -144,6 +161,9 @@ def read_motions(
             if isinstance(reader, CommandReader):
                 reader = replace(reader, wait_unit=wait_unit)  # noqa: PLW2901
             return tuple(_distinct(reader.motions(path, data)))
+    for mark, kind, action in OTHERS:
+        if format_name is None and mark in data[:OTHERS_HEAD_BYTES]:
+            raise InputError(f"is {kind}, which is not read; {action}", path=path)
     raise InputError(
         f"is in no motion format that can be read; there are: {', '.join(FORMAT_NAMES)}; "
         "name one with --from to see what is wrong",

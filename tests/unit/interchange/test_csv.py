@@ -164,3 +164,13 @@ def test_a_name_that_only_looks_like_a_unit_is_a_joint(read_one, name: str) -> N
 def test_a_unit_or_a_time_that_is_not_understood_is_refused(refusal, text, reason) -> None:
     assert CsvReader().recognises(text.encode())
     assert reason in refusal(CsvReader(), text).reason
+
+
+def test_the_values_of_a_long_table_may_have_their_unit_in_brackets(read_one) -> None:
+    (a,) = read_one(CsvReader(), "time (s),joint,position (rad)\n0,a,0.5\n1,a,1\n").channels
+    assert (a.name, a.unit, a.values.tolist()) == ("a", Unit.RAD, [0.5, 1.0])
+
+
+def test_a_comment_below_the_header_changes_nothing(read_one) -> None:
+    (a,) = read_one(CsvReader(), "time a\n# two rows\n0 1\n1 2\n").channels
+    assert a.values.tolist() == [1.0, 2.0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tracemalloc
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -276,3 +277,17 @@ def test_an_encoder_that_wraps_is_named_where_its_turn_is_refused(tmp_path, figu
     assert "--unwrap removes the turns" in str(caught.value)
     made = imported(read_motion(path), figure, is_unwrapped=True, is_clipped=True)
     assert any("The turns were removed (--unwrap)" in comment for comment in made.comments)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"\x93NUMPY\x01\x00v\x00" + bytes(120), "is a NumPy array, which is not read"),
+        (b"PK\x03\x04" + bytes(26) + b"a.npy\x01\x00\x14\x00" + bytes(16), "NumPy arrays"),
+        (b'<?xml version="1.0"?><ChoregrapheProject/>', "is a Choregraphe behaviour"),
+    ],
+)
+def test_a_format_that_is_not_read_is_named_with_what_to_do(tmp_path, data, said) -> None:
+    (tmp_path / "x").write_bytes(data)
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_motions(tmp_path / "x")
