@@ -128,6 +128,8 @@ def _is_instant(name: str) -> bool:
 def seconds_of(name: str) -> float | None:
     """Return the unit of a time column in seconds; None if it is none that is understood."""
     base, unit = name_and_unit(name)
+    if base == "%time":  # As `rostopic echo -p` writes it.
+        return 1e-9
     base = _plain(base)
     if not unit and base in _TIME_UNITS and len(base) > 2:
         return _TIME_UNITS[base]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.interchange.csv import CsvReader
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.importing import read_motions
+from lss_motion.interchange.mapping import mapped
+from lss_motion.interchange.reader import ForeignMotion, Unit
 from lss_motion.show.model import Interpolation
 
 WIDE = "time_s,base_deg,elbow_rad,jaw_us,lift\n0,1,0.5,1500,7\n0.5,2,,1600,8\n1,3,1.5,1700,9\n"
@@ -174,3 +176,21 @@ def test_the_values_of_a_long_table_may_have_their_unit_in_brackets(read_one) ->
 def test_a_comment_below_the_header_changes_nothing(read_one) -> None:
     (a,) = read_one(CsvReader(), "time a\n# two rows\n0 1\n1 2\n").channels
     assert a.values.tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("header", ["timestamp", "# time", "time (s)"])
+def test_a_table_of_two_seconds_is_two_seconds_long(tmp_path, arm, header: str) -> None:
+    rows = "".join(f"{1700000000 + n / 20:.2f},{n / 4:.3f},{10 - n / 4:.3f}\n" for n in range(41))
+    (tmp_path / "stamp.csv").write_text(f"{header},base,elbow (deg)\n{rows}")
+    (motion,) = read_motions(tmp_path / "stamp.csv")
+    assert isinstance(motion, ForeignMotion)
+    own = mapped(motion, arm, None)
+    assert [channel.name for channel in own.channels] == ["base", "elbow"]
+    assert [len(channel.times_s) for channel in own.channels] == [41, 41]
+    assert own.channels[0].times_s[[0, -1]].tolist() == [0.0, pytest.approx(2.0)]
+
+
+def test_the_time_of_a_plain_echo_of_ros_1_is_in_nanoseconds(read_one) -> None:
+    text = "%time,a_rad\n1700000000000000000,1\n1700000000500000000,2\n"
+    (a,) = read_one(CsvReader(), text).channels
+    assert a.times_s[1] - a.times_s[0] == pytest.approx(0.5)
