@@ -38,7 +38,6 @@ SLOW_STEPS = {"guides", "campaign"}
 ALL_TESTS = ("-m", "", "--hypothesis-profile=many")
 """Tests of all tiers, and as many examples of each property as `tests/conftest.py` has for them."""
 CAMPAIGN = (
-    "python",
     "tools/campaign",
     "shows",
     "--seeds",

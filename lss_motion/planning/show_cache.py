@@ -10,6 +10,7 @@ servos, and functions of a show, which Python may find elsewhere the next time.
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,11 +35,10 @@ def cached(given: tuple[object, ...], make: Callable[[], Show]) -> Show:
         name = hashlib.sha256(repr((Path.cwd(), given)).encode()).hexdigest()
     except OSError:  # The folder was removed.
         return make()
-    try:
+    with suppress(MissError):
         return loaded(SHOW_SUFFIX, name, _check)[1]
-    except MissError:
-        with recorded() as record:
-            show = make()
+    with recorded() as record:
+        show = make()
     if record.is_repeatable and not show.robot.read_limits:
         keep(SHOW_SUFFIX, name, (record.states, show))
     return show

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.files.cache import PLAN_SUFFIX
@@ -30,10 +31,9 @@ def kept_plan(name: str, make: Callable[[], Trajectory], robot: Robot) -> Trajec
     def check(trajectory: Trajectory) -> None:
         verify(trajectory, robot)
 
-    try:
+    with suppress(MissError):
         return loaded(PLAN_SUFFIX, name, check)
-    except MissError:
-        trajectory = make()
+    trajectory = make()
     motions = {id(part): part for part in motions_of(trajectory)}.values()
     if sum(len(m.path.knots_s) + len(m.clock.rates) for m in motions) >= PIECES_MIN:
         keep(PLAN_SUFFIX, name, trajectory)
