@@ -253,7 +253,7 @@ def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
 @pytest.mark.parametrize(
     "fault",
     [
-        # With three of ten lost, a servo is silent for 0.4 s where the show begins, and is compared.
+        # With three of ten lost, a servo is silent for 0.4 s at the start, and is compared.
         Fault(kind=FaultKind.LOST_REPLY, ratio=0.2),
         # With every third one late, three queries in a row time out: that joint gets no move until
         # its settings are read, by design, and falls behind by 8 deg for 0.2 s.
