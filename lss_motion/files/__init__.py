@@ -10,5 +10,5 @@
 | `json_schema` | describes a class of keys for editors | `schema`, `tools/make_reference.py` |
 | `yaml_edit` | changes single values of a YAML text, keeps the rest | `maintenance`, commands |
 | `output` | refuses to lose a file, writes one as a whole | all writers |
-| `cache` | keeps results; proof of who wrote one | `planning.trajectory.plan_cache`, `show_cache` |
+| `cache` | keeps results; proof of who wrote one | `planning.kept` |
 """

@@ -8,7 +8,6 @@ little-endian arrays (`view_curves.packed`).
 
 from __future__ import annotations
 
-import json
 import math
 from collections import defaultdict
 from pathlib import Path
@@ -161,11 +160,6 @@ def _departures(trajectory: Trajectory, window: Window) -> dict[str, list[dict[s
             for span in trajectory.asked
         ),
     }
-
-
-def view_bytes(view: Mapping[str, Any]) -> bytes:
-    """Return a view as the bytes of `GET /view/<plan>.json`."""
-    return json.dumps(view, separators=(",", ":"), allow_nan=False).encode()
 
 
 class Window:

@@ -29,10 +29,6 @@ class Rate(Struct, frozen=True):
     is_drop: bool = False
 
     @property
-    def frame_s(self) -> float:
-        return 1.0 / self.frames_per_s
-
-    @property
     def frames_per_day(self) -> int:
         minutes = 60 * HOURS
         dropped = DROPPED * (minutes - minutes // 10) if self.is_drop else 0

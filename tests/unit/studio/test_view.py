@@ -15,7 +15,7 @@ import lss_motion as lss
 from lss_motion.planning.program.verify import driven, profiles
 from lss_motion.planning.shows import Show
 from lss_motion.robot.profile import profile_lead_s
-from lss_motion.studio.view import Window, view_bytes, view_of
+from lss_motion.studio.view import Window, view_of
 from lss_motion.studio.view_curves import Curve
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
@@ -32,7 +32,7 @@ def planned(source):
 def viewed(values):
     sequence, trajectory, program, robot = values
     show = Show(robot=robot, program=program, trajectory=trajectory, sequence=sequence)
-    return json.loads(view_bytes(view_of(show, "0123456789abcdef")))
+    return json.loads(json.dumps(view_of(show, "0123456789abcdef"), allow_nan=False))
 
 
 @pytest.fixture(scope="module", params=SHOWS)
