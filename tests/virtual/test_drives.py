@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from lss_motion.planning.program.streamed import filter_accel
 from lss_motion.playing import api
 from lss_motion.playing.player.events import Warned
+from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
@@ -264,6 +265,16 @@ def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
 def test_bad_replies_disturb_no_horn(stage, kit, fault):
     played = stage.play(mixed_robot(kit), faults=[fault])
     assert not played.report.faults
+    assert played.report.outcome == "finished"
+    assert np.abs(played.horn_error_deg()).max() < 1.6
+
+
+def test_many_lost_replies_hold_a_show_back_and_disturb_no_horn(stage, kit):
+    """A servo that is silent for 0.4 s where the show begins is compared, and the show goes on."""
+    played = stage.play(mixed_robot(kit), faults=[Fault(kind=FaultKind.LOST_REPLY, ratio=0.3)])
+    assert {(fault.kind, fault.step) for fault in played.report.faults} <= {
+        (Cause.SILENT, FaultStep.RESUME)
+    }
     assert played.report.outcome == "finished"
     assert np.abs(played.horn_error_deg()).max() < 1.6
 
