@@ -15,6 +15,7 @@ import contextlib
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -48,6 +49,8 @@ CAMPAIGN = (
     "--jobs",
     "2",
 )
+TESTS_SECONDS_MAX = 15 * 60.0
+"""All tiers take 6 to 13 minutes; what takes longer has stopped, and the gate has twenty."""
 ALONE_MAX = 4
 """Failed tests that are run once more, alone. More at once are not the fault of a busy machine."""
 
@@ -122,16 +125,38 @@ def _tests(*options: str) -> bool:
     that fails alone, too, has failed; one that passes then is named, so that it can be looked at.
     """
     command = ("pytest", *options)
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    print("\n".join(done.stdout.strip().splitlines()[-1:]))
-    if done.returncode == 0:
+    returncode, output = _ended(command)
+    print("\n".join(output.strip().splitlines()[-1:]))
+    if returncode == 0:
         return True
-    print(done.stdout + done.stderr)
-    failed = re.findall(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", done.stdout, re.MULTILINE)
-    if done.returncode != 1 or not 0 < len(failed) <= ALONE_MAX:
+    print(output)
+    failed = re.findall(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", output, re.MULTILINE)
+    if returncode != 1 or not 0 < len(failed) <= ALONE_MAX:
         return False
     print("Once more, alone:", *failed, sep="\n  ")
     return _run(*command, "-n0", *failed)
+
+
+def _ended(command: tuple[str, ...]) -> tuple[int, str]:
+    """Run tests; return the exit status and the output.
+
+    Tests that take longer than `TESTS_SECONDS_MAX` are aborted: each process then prints where it
+    is. The output goes to a file, so that a process that a test left behind cannot keep it open.
+    """
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as log,
+        subprocess.Popen(
+            command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        ) as process,
+    ):
+        try:
+            process.wait(TESTS_SECONDS_MAX)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGABRT)
+            print(f"the tests did not end in {TESTS_SECONDS_MAX:.0f} s")
+            process.wait()
+        log.seek(0)
+        return process.returncode, log.read()
 
 
 def _obeys(*rules: Callable[[Path], list[str]]) -> bool:
