@@ -49,8 +49,8 @@ CAMPAIGN = (
     "--jobs",
     "2",
 )
-TESTS_SECONDS_MAX = 15 * 60.0
-"""All tiers take 6 to 13 minutes; what takes longer has stopped, and the gate has twenty."""
+TESTS_SECONDS_MAX = 30 * 60.0
+"""All tiers take 6 to 8 minutes, and up to three times as long on a busy machine."""
 ALONE_MAX = 4
 """Failed tests that are run once more, alone. More at once are not the fault of a busy machine."""
 ALONE_SECONDS_MAX = 3 * 60.0
