@@ -48,7 +48,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _keys(arguments: argparse.Namespace) -> int:
-    from lss_motion.stage.hosts.settings import make_keys
+    from lss_motion.stage.hosts.peer import make_keys
     from lss_motion.stage.load import load_stage
 
     stage = load_stage(arguments.stage)

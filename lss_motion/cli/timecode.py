@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.following import FollowRule
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.runner import Controls
-    from lss_motion.stage.timecode.options import FollowSpec, SendSpec
     from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
+    from lss_motion.stage.timecode.timecode import FollowSpec, SendSpec
 
     Turn = Callable[[Player, int], None]
 
@@ -78,7 +78,7 @@ def specs_of(arguments: argparse.Namespace) -> tuple[FollowSpec | None, list[Sen
                 "--rate-fps and --offset-s are for --follow or --send; give one of them"
             )
         return None, []
-    from lss_motion.stage.timecode.options import read_follow, read_send
+    from lss_motion.stage.timecode.timecode import read_follow, read_send
 
     if arguments.virtual:
         raise InputError("--virtual has no clock to share: not with --follow or --send")

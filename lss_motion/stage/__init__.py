@@ -4,25 +4,24 @@
                                         ^
                  signals, wall clock, what the player did
 
-==============  =================================================================================
-file            the keys of a stage file
-model           the values of a stage; what a trigger and a signal are
-load            a file to a `Stage`, with the line of every problem
-time_of_day     cron expressions and quiet hours on a clock that may be set
-check           plans every show of a stage, and finds what does not go together
-triggers        from signals to the cues that they trigger
-duty            why a figure rests, and how often it begins again after faults
-director        decides which show plays
-orders          what the director orders and notes
-records         what has been done and refused, for the log and for operators
-running         couples the director and the player, one run after the other
-playing         what these runs keep: which shows play, two taps as one
-timecode        where the timecode is, and the show that follows it
-sending         timecode out, from the clock of the shows that play
-job             what the process of the player does for a stage, and its client
-log             what is kept of each night
-morning         what happened in a night, from the log
-==============  =================================================================================
+===============  ===============================================================================
+file             the keys of a stage file
+model            the values of a stage; what a trigger and a signal are
+load             a file to a `Stage`, with the line of every problem
+check            plans every show of a stage, and finds what does not go together
+triggering       from signals, times of day and timecode to the cues that they trigger
+duty             why a figure rests, and how often it begins again after faults
+director         decides which show plays
+orders           what the director orders and notes
+log              what is kept of each night
+running          couples the director and the player, one run after the other
+stage_timecode   where the timecode is, the show that follows it; timecode out
+job              what the process of the player does for a stage, and its client
+morning          what happened in a night, from the log
+triggers/        messages of other programs and devices as triggers
+timecode/        timecode in and out
+hosts/           one show on many computers
+===============  ===============================================================================
 """
 
 from __future__ import annotations

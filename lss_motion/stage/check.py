@@ -18,7 +18,7 @@ from lss_motion.planning import shows
 from lss_motion.playing.player.added_show import why_not_beside
 from lss_motion.playing.player.following import require_can_follow
 from lss_motion.stage.log import why_not_writable
-from lss_motion.stage.model import Kind
+from lss_motion.stage.model import TriggerKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -198,7 +198,7 @@ def _never_added(planned: Planned) -> Iterator[Finding]:
 def _same_triggers(stage: Stage) -> Iterator[Finding]:
     by_trigger: dict[Trigger, list[str]] = defaultdict(list)
     for cue in stage.cues:
-        if cue.shows and cue.on.kind is not Kind.GO:
+        if cue.shows and cue.on.kind is not TriggerKind.GO:
             by_trigger[cue.on].append(cue.name)
     for cue in stage.cues:
         others = by_trigger[cue.on]

@@ -24,10 +24,9 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
-from lss_motion.stage.model import Cue, Kind, Signal, Trigger
+from lss_motion.stage.model import Cue, Signal, Trigger, TriggerKind
 from lss_motion.stage.orders import Playing, ShowInfo, Waiting
-from lss_motion.stage.time_of_day import CronClock
-from lss_motion.stage.triggering import FREEWHEEL_S, Bags, TimecodeCues, Triggers
+from lss_motion.stage.triggering import FREEWHEEL_S, Bags, CronClock, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -160,7 +159,7 @@ class Director:
         if text:
             self._orders.append(orders.Noted(text))
         for expression in expressions:
-            self.signal(Signal(kind=Kind.TIME, address=expression), now_ns)
+            self.signal(Signal(kind=TriggerKind.TIME, address=expression), now_ns)
         for cue, start_s in self.timecode.tick(now_ns):
             self._by_timecode(cue, start_s)
         self._settle()
@@ -172,7 +171,7 @@ class Director:
             self._by_timecode(cue, start_s)
 
     def _by_timecode(self, cue: Cue, start_s: float | None) -> None:
-        main, signal = self.main, Signal(kind=Kind.TIMECODE, address=cue.on.address)
+        main, signal = self.main, Signal(kind=TriggerKind.TIMECODE, address=cue.on.address)
         if main is not None and main.cue is cue and main.is_ready:
             main.is_ready = False
             main.since_ns = self._now_ns
@@ -216,7 +215,7 @@ class Director:
     def signal(self, signal: Signal, now_ns: int) -> None:
         """Fire the cues that a signal triggers, or refuse them."""
         self._now_ns = now_ns
-        if signal.kind is Kind.GO:
+        if signal.kind is TriggerKind.GO:
             self._go(signal)
         else:
             for cue in self._triggers.triggered(signal):
@@ -239,13 +238,13 @@ class Director:
             raise InputError(f"no show {show!r}; {known_names(show, self.shows)}")
         cue = Cue(
             name=OPERATOR,
-            on=Trigger(kind=Kind.CUE),
+            on=Trigger(kind=TriggerKind.CUE),
             shows=(show,),
             start=start,
             priority=OPERATOR_PRIORITY,
         )
         self._now_ns = now_ns
-        self._fire(cue, Signal(kind=Kind.CUE, address=show, source=OPERATOR))
+        self._fire(cue, Signal(kind=TriggerKind.CUE, address=show, source=OPERATOR))
         self._settle()
 
     def do(self, deed: Literal["stop", "rest", "wake"], now_ns: int) -> None:
@@ -280,7 +279,7 @@ class Director:
 
     def next_go(self) -> str | None:
         """Return the cue that GO fires; None: there is none."""
-        goes = [cue.name for cue in self.stage.cues if cue.on.kind is Kind.GO]
+        goes = [cue.name for cue in self.stage.cues if cue.on.kind is TriggerKind.GO]
         return self.armed or next(iter(goes), None)
 
     def _known(self, name: str) -> Cue:
@@ -305,7 +304,7 @@ class Director:
         elif name is None:
             self._refuse("GO", signal, "no cue waits for GO, and none is armed")
         elif self._fire(self._known(name), signal):
-            goes = [cue.name for cue in self.stage.cues if cue.on.kind is Kind.GO]
+            goes = [cue.name for cue in self.stage.cues if cue.on.kind is TriggerKind.GO]
             after = goes[goes.index(name) + 1 :] if name in goes else goes
             self.armed = next(iter(after or goes), None)
 
@@ -319,7 +318,7 @@ class Director:
         self._note_rest()
         if not self.has_begun:
             self.has_begun = True
-            self.signal(Signal(kind=Kind.START), now_ns)
+            self.signal(Signal(kind=TriggerKind.START), now_ns)
         self._settle()
         for cue, start_s in self.timecode.under_way(now_ns):
             self._by_timecode(cue, start_s)
@@ -341,7 +340,7 @@ class Director:
         if outcome == "finished":
             if over.is_rest and self.stage.duty.is_limp and self._rests:
                 self._orders.append(orders.Relax())
-            self.signal(Signal(kind=Kind.END_OF, address=over.show), now_ns)
+            self.signal(Signal(kind=TriggerKind.END_OF, address=over.show), now_ns)
         self._settle()
 
     def refused(self, number: int, reason: str, now_ns: int) -> None:
@@ -697,4 +696,4 @@ class Director:
 
 def times_of(stage: Stage) -> Iterator[str]:
     """Yield the times of day at which cues fire."""
-    return (cue.on.address for cue in stage.cues if cue.on.kind is Kind.TIME)
+    return (cue.on.address for cue in stage.cues if cue.on.kind is TriggerKind.TIME)

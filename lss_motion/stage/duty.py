@@ -11,7 +11,7 @@ from collections import deque
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.stage.time_of_day import is_within
+from lss_motion.stage.triggering import is_within
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:

@@ -24,9 +24,8 @@ from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.job import Outcome
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.telemetry import plan_hash
-from lss_motion.stage.log import StageLog
-from lss_motion.stage.model import Kind, Signal
-from lss_motion.stage.records import must_restart
+from lss_motion.stage.log import StageLog, must_restart
+from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage.stage_timecode import OwnSource, opened, spec_of
 from lss_motion.system.messages import plain
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
     from lss_motion.playing.remote.operator_end import Operator
     from lss_motion.stage.check import Planned
     from lss_motion.stage.director import Director
+    from lss_motion.stage.log import Record
     from lss_motion.stage.model import Stage
-    from lss_motion.stage.running import Record
     from lss_motion.stage.stage_timecode import StageTimecode
 
 RENEW_MAX_BYTES: Final = 1_000_000
@@ -116,7 +115,7 @@ def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
     match operation:
         case s.Trigger():
             return Signal(
-                kind=Kind(operation.kind),
+                kind=TriggerKind(operation.kind),
                 address=operation.address,
                 value=operation.value,
                 channel=operation.channel,
@@ -126,9 +125,9 @@ def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
             if stage.cue(operation.label) is None:
                 known = known_names(operation.label, [cue.name for cue in stage.cues])
                 raise InputError(f"no cue {operation.label!r}; {known}")
-            return Signal(kind=Kind.CUE, address=operation.label, source=operation.source)
+            return Signal(kind=TriggerKind.CUE, address=operation.label, source=operation.source)
         case _:
-            return Signal(kind=Kind.GO)
+            return Signal(kind=TriggerKind.GO)
 
 
 class Directed(Protocol):

@@ -19,12 +19,10 @@ from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause
-from lss_motion.stage import time_of_day
 from lss_motion.stage.model import (
     ATTEMPTS,
     Cue,
     Duty,
-    Kind,
     Listen,
     LogRule,
     Network,
@@ -33,8 +31,10 @@ from lss_motion.stage.model import (
     StageFigure,
     StageShow,
     Trigger,
+    TriggerKind,
 )
 from lss_motion.stage.timecode.timecode import FPS_29_97_DROP, RATES, Rate, Timecode
+from lss_motion.stage.triggering import clock_time, cron_problem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,26 +55,26 @@ if TYPE_CHECKING:
     from lss_motion.stage.model import Side
 
 
-SOURCES: Final[Mapping[Kind, str]] = MappingProxyType(
+SOURCES: Final[Mapping[TriggerKind, str]] = MappingProxyType(
     {
-        Kind.OSC: "osc",
-        Kind.HTTP: "http",
-        Kind.MQTT: "mqtt",
-        Kind.NOTE: "midi",
-        Kind.PROGRAM: "midi",
-        Kind.SACN: "sacn",
+        TriggerKind.OSC: "osc",
+        TriggerKind.HTTP: "http",
+        TriggerKind.MQTT: "mqtt",
+        TriggerKind.NOTE: "midi",
+        TriggerKind.PROGRAM: "midi",
+        TriggerKind.SACN: "sacn",
     }
 )
 """The key of `listen` without which such a trigger would never come."""
 
-OWN_KEYS: Final[Mapping[Kind, frozenset[str]]] = MappingProxyType(
+OWN_KEYS: Final[Mapping[TriggerKind, frozenset[str]]] = MappingProxyType(
     {
-        Kind.SENSOR: frozenset({"below_mm", "above_mm", "below_raw", "above_raw"}),
-        Kind.OSC: frozenset({"above"}),
-        Kind.MQTT: frozenset({"above"}),
-        Kind.NOTE: frozenset({"channel"}),
-        Kind.PROGRAM: frozenset({"channel"}),
-        Kind.SACN: frozenset({"slot", "above"}),
+        TriggerKind.SENSOR: frozenset({"below_mm", "above_mm", "below_raw", "above_raw"}),
+        TriggerKind.OSC: frozenset({"above"}),
+        TriggerKind.MQTT: frozenset({"above"}),
+        TriggerKind.NOTE: frozenset({"channel"}),
+        TriggerKind.PROGRAM: frozenset({"channel"}),
+        TriggerKind.SACN: frozenset({"slot", "above"}),
     }
 )
 
@@ -320,9 +320,9 @@ class _Loader:
         if entry.start == "add" and self.content.figures:
             text = "figures play one show together: add does not go with them; queue, or interrupt"
             self._note((*place, "start"), text)
-        if "follow" in entry.given and trigger.kind is not Kind.TIMECODE:
+        if "follow" in entry.given and trigger.kind is not TriggerKind.TIMECODE:
             self._note((*place, "follow"), "follow belongs to a trigger of timecode")
-        follows = entry.follow and trigger.kind is Kind.TIMECODE
+        follows = entry.follow and trigger.kind is TriggerKind.TIMECODE
         can_wait = follows and isinstance(entry.play, str) and entry.start != "add"
         if entry.ready and not can_wait:
             text = "ready belongs to a cue that plays one show in step with the timecode"
@@ -331,33 +331,33 @@ class _Loader:
 
     def _trigger(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
         given = entry.given
-        kinds = [kind for kind in Kind if kind in given]
+        kinds = [kind for kind in TriggerKind if kind in given]
         if len(kinds) != 1:
-            known = ", ".join(kind for kind in Kind if kind is not Kind.CUE)
+            known = ", ".join(kind for kind in TriggerKind if kind is not TriggerKind.CUE)
             self._note(place, f"a trigger is one of: {known}")
-            return Trigger(kind=Kind.CUE)
+            return Trigger(kind=TriggerKind.CUE)
         kind = kinds[0]
         for key in sorted(given - {kind} - OWN_KEYS.get(kind, frozenset())):
             self._note((*place, key), f"{key} does not belong to {kind}")
         self._check_source(kind, place)
         match kind:
-            case Kind.SENSOR:
+            case TriggerKind.SENSOR:
                 return self._sensor(entry, place, robot)
-            case Kind.TIME:
+            case TriggerKind.TIME:
                 return self._time(str(entry.time), place)
-            case Kind.TIMECODE:
+            case TriggerKind.TIMECODE:
                 return self._timecode(str(entry.timecode), place)
-            case Kind.SACN:
+            case TriggerKind.SACN:
                 return self._sacn(entry, place)
-            case Kind.START | Kind.GO:
+            case TriggerKind.START | TriggerKind.GO:
                 if getattr(entry, kind) is not True:
                     self._note((*place, kind), f"{kind} can only be true")
                 return Trigger(kind=kind)
         return self._message(kind, entry, place)
 
-    def _message(self, kind: Kind, entry: OnEntry, place: Location) -> Trigger:
+    def _message(self, kind: TriggerKind, entry: OnEntry, place: Location) -> Trigger:
         """Return the trigger of a message with an address, and maybe with a value."""
-        if kind is Kind.END_OF:
+        if kind is TriggerKind.END_OF:
             self._show(entry.end_of, (*place, kind))
         side: Side | None = None if entry.above is None else "above"
         return Trigger(
@@ -368,7 +368,7 @@ class _Loader:
             channel=entry.channel,
         )
 
-    def _check_source(self, kind: Kind, place: Location) -> None:
+    def _check_source(self, kind: TriggerKind, place: Location) -> None:
         """Note a trigger that would never come, since nothing listens for it."""
         key = SOURCES.get(kind)
         entries = [self.content.listen, *(one.listen for one in self.content.figures.values())]
@@ -379,7 +379,7 @@ class _Loader:
 
     def _sensor(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
         assert entry.sensor is not None
-        plain = Trigger(kind=Kind.SENSOR, address=entry.sensor)
+        plain = Trigger(kind=TriggerKind.SENSOR, address=entry.sensor)
         if robot is None:
             if self.content.figures:
                 self._note((*place, "sensor"), "sensors belong to one robot, not to figures")
@@ -390,7 +390,7 @@ class _Loader:
             reason = f"robot {robot.name!r} has no sensor {entry.sensor!r}; {known}"
             self._note((*place, "sensor"), reason)
             return plain
-        keys = [key for key in OWN_KEYS[Kind.SENSOR] if key in entry.given]
+        keys = [key for key in OWN_KEYS[TriggerKind.SENSOR] if key in entry.given]
         allowed = (f"below_{sensor.unit}", f"above_{sensor.unit}")
         if len(keys) != 1 or keys[0] not in allowed:
             reason = f"a sensor of kind {sensor.kind} needs one of {allowed[0]} and {allowed[1]}"
@@ -398,13 +398,13 @@ class _Loader:
             return plain
         side: Side = "below" if keys[0] == allowed[0] else "above"
         threshold = float(getattr(entry, keys[0]))
-        return Trigger(kind=Kind.SENSOR, address=sensor.name, side=side, threshold=threshold)
+        return Trigger(kind=TriggerKind.SENSOR, address=sensor.name, side=side, threshold=threshold)
 
     def _sacn(self, entry: OnEntry, place: Location) -> Trigger:
         if entry.slot is None:
             self._note(place, "sacn needs slot, from 1 to 512")
         return Trigger(
-            kind=Kind.SACN,
+            kind=TriggerKind.SACN,
             address=f"{entry.sacn}/{entry.slot}",
             side="above",
             threshold=SACN_ABOVE if entry.above is None else entry.above,
@@ -412,12 +412,12 @@ class _Loader:
 
     def _time(self, text: str, place: Location) -> Trigger:
         try:
-            reason = time_of_day.cron_problem(text)
+            reason = cron_problem(text)
         except InputError as error:
             reason = error.reason
         if reason:
             self._note((*place, "time"), f"{text!r} {reason}")
-        return Trigger(kind=Kind.TIME, address=text)
+        return Trigger(kind=TriggerKind.TIME, address=text)
 
     def _timecode(self, text: str, place: Location) -> Trigger:
         source = self.content.sync.timecode
@@ -428,7 +428,7 @@ class _Loader:
         if at_s is None:
             reason = f"there is no frame {text} at {rate_fps:g} frames a second"
             self._note((*place, "timecode"), reason)
-        return Trigger(kind=Kind.TIMECODE, address=text, at_s=at_s or 0.0)
+        return Trigger(kind=TriggerKind.TIMECODE, address=text, at_s=at_s or 0.0)
 
     # ---- the rest
 
@@ -514,7 +514,7 @@ class _Loader:
     def _quiet(self, spans: list[str]) -> list[tuple[time, time]]:
         found = []
         for index, span in enumerate(spans):
-            begin, end = map(time_of_day.clock_time, span.split("-"))
+            begin, end = map(clock_time, span.split("-"))
             if begin is None or end is None or begin == end:
                 self._note(("duty", "quiet", index), f"{span!r}: two times such as 23:00-08:00")
             else:

@@ -6,9 +6,11 @@ A night is a few hundred kilobytes. Files begin anew each day and at a bounded s
 are deleted, so that the folder has at most `max_bytes`. A disk that is full loses lines, not
 shows; the first line after it says how many. `StageLog.take_texts` tells people at once.
 
-`Writer` writes. `StageLog` hands records to a process of its own (`main`), for which the player
-never waits; in virtual time it writes itself. `Ring` keeps the last seconds of bytes in memory; at
-a fault they become a file that `lss-motion replay` shows.
+`Records` makes the records of what a stage has done and refused; equal refusals that follow each
+other are counted, so that a storm of triggers does not fill the disk. `Writer` writes. `StageLog`
+hands records to a process of its own (`main`), for which the player never waits; in virtual time it
+writes itself. `Ring` keeps the last seconds of bytes in memory; at a fault they become a file that
+`lss-motion replay` shows.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import json
 import os
 import shutil
 from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,18 +27,24 @@ from msgspec import Struct
 
 from lss_motion.files.source import counted
 from lss_motion.playing.log import VERSION, LineTap, LogHead, encode_line
+from lss_motion.stage import orders
+from lss_motion.stage.duty import Reason
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.process import ChildProcess
 from lss_motion.system.reactor import serve
 from lss_motion.system.real_time import lower_priority
-from lss_motion.units import ns_from_s
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterable, Mapping
+    from datetime import datetime
 
     from lss_motion.playing.log import LogLine
-    from lss_motion.stage.model import LogRule
+    from lss_motion.stage.director import Director
+    from lss_motion.stage.model import LogRule, Stage
     from lss_motion.system.messages import MessagePipe
+
+    Record = dict[str, Any]
 
 PREFIX: Final = "stage-"
 FAULT_PREFIX: Final = "fault-"
@@ -51,7 +60,7 @@ RING_MAX_BYTES: Final = 1024 * 1024
 CLOSE_S: Final = 10.0
 
 
-class Record(Struct, frozen=True):
+class LogRecord(Struct, frozen=True):
     """What is handed to the process that writes: a line of JSON, or a file of its own."""
 
     values: dict[str, Any]
@@ -202,9 +211,9 @@ class StageLog:
         if self._lost and "t" in record:
             text = f"{self._lost} lines were lost: the disk was too slow"
             lost = {"t": record["t"], "kind": "lost", "text": text, "count": self._lost}
-            if self._child.send(Record(lost)):
+            if self._child.send(LogRecord(lost)):
                 self._lost = 0
-        if not self._child.send(Record(dict(record))):
+        if not self._child.send(LogRecord(dict(record))):
             self._lost += 1
             self._dropped += 1
 
@@ -280,10 +289,10 @@ def main(pipe: MessagePipe, folder: str, max_bytes: str) -> int:
     """Write the records that arrive to a folder until the pipe ends."""
     lower_priority()
     writer = Writer(Path(folder), int(max_bytes))
-    typed: TypedPipe[Record] = TypedPipe(pipe, Record)
+    typed: TypedPipe[LogRecord] = TypedPipe(pipe, LogRecord)
     told = writer.written
 
-    def write(record: Record) -> None:
+    def write(record: LogRecord) -> None:
         nonlocal told
         writer.write(record.values)
         if writer.written.trouble != told.trouble:
@@ -294,3 +303,153 @@ def main(pipe: MessagePipe, folder: str, max_bytes: str) -> int:
     if writer.written != told:
         typed.send(writer.written)
     return 1 if writer.lost else 0
+
+
+REFUSED_NS: Final = 60 * NS_PER_S
+"""Equal refusals are counted, and noted this often."""
+REFUSALS_MAX: Final = 1000
+"""Different refusals that are counted at a time."""
+
+
+def must_restart(reason: str) -> tuple[str, str]:
+    """Return kind and text of the record of newer files for which the stage must begin anew."""
+    return "must_restart", f"new files; the stage begins anew: {reason}"
+
+
+def renewed(changed: Iterable[str]) -> tuple[str, str]:
+    """Return kind and text of the record of newer files with which the stage goes on."""
+    names = ", ".join(sorted(changed))
+    return "renewed", "new files are played from now on" + (f"; changed: {names}" if names else "")
+
+
+@dataclass(slots=True)
+class CueState:
+    """What a cue has done so far."""
+
+    fired: int = 0
+    fired_ns: int | None = None
+    refused: str = ""
+    """Why it was refused since it has fired last."""
+
+
+class Records:
+    """The records of one stage; `write` gets each with the time of day that `wall` returns."""
+
+    def __init__(
+        self, stage: Stage, wall: Callable[[], datetime], write: Callable[[Record], None]
+    ) -> None:
+        self._stage, self._wall, self._write = stage, wall, write
+        self._about: dict[str, CueState] = {cue.name: CueState() for cue in stage.cues}
+        self._refusals: dict[tuple[str, str], list[int]] = {}
+        self._counted_ns: int | None = None
+
+    def renew(self, stage: Stage) -> None:
+        """Go on with a newer stage file."""
+        self._stage = stage
+        for cue in stage.cues:
+            self._about.setdefault(cue.name, CueState())
+
+    def note(self, kind: str, text: str, **more: object) -> None:
+        """Keep what happened, with the time of day."""
+        wall = self._wall().astimezone(self._stage.zone)
+        self._write(
+            {"t": wall.isoformat(timespec="milliseconds"), "kind": kind, "text": text, **more}
+        )
+
+    def note_order(self, order: orders.Order | orders.Note, now_ns: int) -> None:
+        """Keep what the director has noted or ordered."""
+        match order:
+            case orders.CueFired():
+                about = self._about.setdefault(order.cue, CueState())
+                about.fired, about.fired_ns, about.refused = about.fired + 1, now_ns, ""
+                self.note("fired", order.text, cue=order.cue, what=order.what)
+            case orders.CueRefused():
+                self._count_refusal(order)
+            case orders.ShowRefused():
+                named = {"cue": order.cue, "show": order.show, "reason": order.reason}
+                self.note("not_played", order.text, **named)
+            case orders.ShowStarted():
+                self.note("started", order.text, show=order.show, cause=order.cause)
+            case orders.ShowEnded():
+                self.note("ended", order.text, show=order.show, outcome=order.outcome)
+            case orders.RestChanged():
+                self.note("rest", order.text, reasons=list(order.reasons))
+            case orders.Noted():
+                self.note("note", order.text)
+            case orders.Alert():
+                self.note("alert", order.text, alert=order.kind)
+            case _:
+                pass
+
+    def _count_refusal(self, order: orders.CueRefused) -> None:
+        """Note a refusal; equal ones that follow are only counted for a while."""
+        self._about.setdefault(order.cue, CueState()).refused = order.reason
+        key = (order.cue, order.reason.partition(",")[0])
+        if key in self._refusals or len(self._refusals) >= REFUSALS_MAX:
+            self._refusals.setdefault(("others", "many refusals"), [0])
+            self._refusals.get(key, self._refusals[("others", "many refusals")])[0] += 1
+            return
+        self._refusals[key] = [0]
+        self.note("refused", order.text, cue=order.cue, reason=order.reason, count=1)
+
+    def note_waiting(self, director: Director, now_ns: int) -> None:
+        """Note the shows of cues that have fired, but are not played: the stage has ended."""
+        for one in (*director.queue, *director.left):
+            reason = "the stage has ended"
+            self.note_order(
+                orders.ShowRefused(cue=one.cue.name, show=one.show, reason=reason), now_ns
+            )
+
+    def note_counts(self, now_ns: int, *, is_last: bool = False) -> None:
+        """Note how often cues were refused since the first time, once a minute."""
+        if self._counted_ns is None:
+            self._counted_ns = now_ns
+        if not is_last and now_ns < self._counted_ns + REFUSED_NS:
+            return
+        self._counted_ns = now_ns
+        for (cue, reason), (count,) in self._refusals.items():
+            if count:
+                text = f"cue {cue} refused {count} more times: {reason}"
+                self.note("refused", text, cue=cue, reason=reason, count=count)
+        self._refusals.clear()
+
+    def state_of(self, director: Director, now_ns: int) -> Record:
+        """Return what operators see of the director: fields of `playing.remote.stage_messages`."""
+        main = director.main
+        return {
+            "show": None if main is None else main.show,
+            "cause": "" if main is None else "idle" if main.cue is None else main.cue.name,
+            "added": tuple(one.show for one in director.added),
+            "queue": tuple(one.show for one in director.queue),
+            "left": tuple(one.show for one in director.left),
+            "next_go": director.next_go(),
+            "reasons": tuple(director.duty.reasons.values()),
+            "cues": tuple(
+                {
+                    "name": cue.name,
+                    "on": cue.on.text,
+                    "plays": ", ".join(cue.shows) or cue.deed or "",
+                    "is_enabled": director.enabled[cue.name],
+                    "fired": about.fired,
+                    "last_fired_s": None
+                    if about.fired_ns is None
+                    else round(s_from_ns(now_ns - about.fired_ns), 1),
+                    "refused": about.refused,
+                }
+                for cue in self._stage.cues
+                for about in [self._about[cue.name]]
+            ),
+        }
+
+
+def state_word(director: Director, before: str) -> str:
+    """Return the state of a stage in a word; `before`: while its robot is not connected."""
+    main = director.main
+    if Reason.FAULT in director.duty.reasons:
+        return "given_up"
+    if not director.is_connected:
+        return before
+    is_idle = main is None or main.cue is None or main.is_ready
+    if director.duty.reasons and is_idle:
+        return "rests"
+    return "idle" if is_idle else "plays"

@@ -26,8 +26,8 @@ Side = Literal["below", "above"]
 Others = Literal["go_on", "slow", "hold"]
 
 
-class Kind(StrEnum):
-    """Kind of a trigger, and of the signal that fires it."""
+class TriggerKind(StrEnum):
+    """TriggerKind of a trigger, and of the signal that fires it."""
 
     SENSOR = "sensor"
     KEY = "key"
@@ -54,7 +54,7 @@ class Trigger(Struct, frozen=True, kw_only=True):
     pin, `universe/slot`, cron expression, timecode, or show.
     """
 
-    kind: Kind
+    kind: TriggerKind
     address: str = ""
     side: Side | None = None
     """Which values fire: those below or above `threshold`. None: every signal that is not zero."""
@@ -79,7 +79,7 @@ class Trigger(Struct, frozen=True, kw_only=True):
 class Signal(Struct, frozen=True, kw_only=True):
     """What arrived from outside, or happened: one reading, message, key or instant."""
 
-    kind: Kind
+    kind: TriggerKind
     address: str = ""
     value: float | None = None
     channel: int | None = None
@@ -237,5 +237,5 @@ class Stage(Struct, frozen=True, kw_only=True):
     @property
     def sensors(self) -> tuple[str, ...]:
         """The sensors that cues wait for, each once."""
-        names = (cue.on.address for cue in self.cues if cue.on.kind is Kind.SENSOR)
+        names = (cue.on.address for cue in self.cues if cue.on.kind is TriggerKind.SENSOR)
         return tuple(dict.fromkeys(names))

@@ -35,10 +35,9 @@ from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.robot.on_fault import ENDING, Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director
-from lss_motion.stage.log import Ring
-from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.log import Records, Ring, must_restart, renewed, state_word
+from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.orders import ShowInfo
-from lss_motion.stage.records import Records, must_restart, renewed, state_word
 from lss_motion.stage.stage_timecode import Sending, StageTimecode
 from lss_motion.system.clock import MonotonicClock
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
@@ -47,19 +46,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.planning.program.model import Program
-    from lss_motion.playing.player.events import Event, ShowSummary
+    from lss_motion.playing.log import PortState
+    from lss_motion.playing.player.events import Event, PlayerRequest, ShowSummary
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.run import Result
     from lss_motion.playing.runner import Tap
     from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
+    from lss_motion.stage.log import Record
     from lss_motion.stage.stage_timecode import Out
     from lss_motion.stage.timecode.source import Legs
-
-    Record = dict[str, Any]
-    from lss_motion.playing.log import PortState
-    from lss_motion.playing.player.events import PlayerRequest
 
 
 @dataclass(slots=True)
@@ -496,7 +493,7 @@ class StageRun:
         """Pass on the readings of sensors, and each second the temperatures and currents."""
         for name, value in player.watched.take_readings():
             self.director.signal(
-                Signal(kind=Kind.SENSOR, address=name, value=float(value)), self.now_ns
+                Signal(kind=TriggerKind.SENSOR, address=name, value=float(value)), self.now_ns
             )
         if self.now_ns < self._measured_ns + MEASURE_NS or player.show is None:
             return

@@ -21,7 +21,7 @@ from lss_motion.errors import InputError
 from lss_motion.playing.player.following import FIRST_SLACK_S, RUNNING_RATE, Following, FollowRule
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.stage.timecode.chase import State
-from lss_motion.stage.timecode.options import read_follow, read_send
+from lss_motion.stage.timecode.timecode import read_follow, read_send
 from lss_motion.stage.triggering import JUMP_S
 from lss_motion.system.clock import MonotonicClock
 from lss_motion.system.clock_leg import ClockLeg
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from lss_motion.stage.director import Director
     from lss_motion.stage.file import SendOutput, TimecodeInput
     from lss_motion.stage.orders import Play, Playing
-    from lss_motion.stage.timecode.options import FollowSpec, SendSpec
     from lss_motion.stage.timecode.source import Legs, TimecodeSource
+    from lss_motion.stage.timecode.timecode import FollowSpec, SendSpec
 
 AGAIN_NS: Final = 10 * NS_PER_S
 """A source that has gone is opened again this much later. Chosen: a sound card that was unplugged

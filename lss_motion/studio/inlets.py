@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, install_command
-from lss_motion.stage.model import Kind
+from lss_motion.stage.model import TriggerKind
 from lss_motion.stage.triggers import mqtt
-from lss_motion.stage.triggers.gpio import GpioPins
-from lss_motion.stage.triggers.midi import MidiPort
+from lss_motion.stage.triggers.devices import GpioPins, MidiPort
 from lss_motion.stage.triggers.mqtt import MqttLink
-from lss_motion.stage.triggers.osc_port import OscPort
-from lss_motion.stage.triggers.sacn import RATE_HZ, Levels
-from lss_motion.stage.triggers.sacn_port import SacnPort
+from lss_motion.stage.triggers.osc import OscPort
+from lss_motion.stage.triggers.sacn import RATE_HZ, Levels, SacnPort
 from lss_motion.stage.triggers.sources import AllowList, Complaints, Crossings, Gate
 
 if TYPE_CHECKING:
@@ -43,12 +41,12 @@ MODULES: Final[Mapping[str, tuple[str, str]]] = {
 """What each source needs besides this package, and the extra that has it."""
 
 
-def addresses(stage: Stage, kind: Kind) -> frozenset[str]:
+def addresses(stage: Stage, kind: TriggerKind) -> frozenset[str]:
     """Return the addresses that cues of one kind wait for."""
     return frozenset(cue.on.address for cue in stage.cues if cue.on.kind is kind)
 
 
-def thresholds(stage: Stage, kind: Kind) -> dict[str, tuple[float, ...]]:
+def thresholds(stage: Stage, kind: TriggerKind) -> dict[str, tuple[float, ...]]:
     """Return the thresholds of cues of one kind, by address."""
     found: dict[str, tuple[float, ...]] = {}
     for cue in stage.cues:
@@ -64,7 +62,7 @@ def require_packages(stage: Stage) -> None:
         "osc": listen.osc is not None,
         "midi": listen.midi is not None,
         "mqtt": listen.mqtt is not None,
-        "gpio": bool(addresses(stage, Kind.GPIO)),
+        "gpio": bool(addresses(stage, TriggerKind.GPIO)),
     }
     for source, is_wanted in wanted.items():
         module, extra = MODULES[source]
@@ -122,15 +120,15 @@ class Inlets:
     def _watch(self, stage: Stage) -> None:
         """Let the open sources look for what the cues of this stage wait for."""
         if self.osc is not None:
-            self.osc.cues = addresses(stage, Kind.OSC)
-            self.osc.levels = Crossings(thresholds(stage, Kind.OSC))
+            self.osc.cues = addresses(stage, TriggerKind.OSC)
+            self.osc.levels = Crossings(thresholds(stage, TriggerKind.OSC))
         if self.mqtt is not None:
-            levels = Crossings(thresholds(stage, Kind.MQTT))
-            self.mqtt.watch(addresses(stage, Kind.MQTT), levels)
+            levels = Crossings(thresholds(stage, TriggerKind.MQTT))
+            self.mqtt.watch(addresses(stage, TriggerKind.MQTT), levels)
         if self._sacn is not None:
-            self._sacn.watch(Levels(thresholds(stage, Kind.SACN)))
+            self._sacn.watch(Levels(thresholds(stage, TriggerKind.SACN)))
         if self._gpio is not None:
-            self._gpio.watch(addresses(stage, Kind.GPIO))
+            self._gpio.watch(addresses(stage, TriggerKind.GPIO))
 
     async def _keep_open(self) -> None:
         while True:
@@ -168,7 +166,7 @@ class Inlets:
         if stage.listen.sacn is None or self._sacn is not None:
             return
         port = SacnPort(stage.listen.sacn, self._gate("sACN", stage, rate_hz=RATE_HZ), self._sink)
-        port.watch(Levels(thresholds(stage, Kind.SACN)))
+        port.watch(Levels(thresholds(stage, TriggerKind.SACN)))
         try:
             await port.open()
         except OSError as error:
@@ -185,7 +183,7 @@ class Inlets:
             midi = MidiPort(listen.midi, gate, self._sink, self._note)
             midi.open()
             self._midi = midi
-        if self._gpio is None and (pins := addresses(stage, Kind.GPIO)):
+        if self._gpio is None and (pins := addresses(stage, TriggerKind.GPIO)):
             gpio = GpioPins(self._gate("GPIO", stage), self._sink)
             gpio.watch(pins)
             self._gpio = gpio

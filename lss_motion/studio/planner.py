@@ -245,7 +245,7 @@ def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[s
     from lss_motion.playing.remote.process import packed
     from lss_motion.playing.remote.telemetry import plan_hash
     from lss_motion.stage.hosts.plans import planned_stage
-    from lss_motion.stage.hosts.stage_job import conductor_job
+    from lss_motion.stage.hosts.serving import conductor_job
 
     if request.figure is None or request.figure != stage.conductor:
         raise InputError(f"the stage has figures; {stage.conductor} conducts it: --figure")

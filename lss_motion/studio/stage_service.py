@@ -17,7 +17,7 @@ from lss_motion import __version__
 from lss_motion.errors import LssMotionError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.telemetry import Telemetry
-from lss_motion.stage.model import Kind
+from lss_motion.stage.model import TriggerKind
 from lss_motion.stage.triggers.alerts import WebHook
 from lss_motion.stage.triggers.mqtt import discovery
 from lss_motion.stage.triggers.sources import AllowList, Complaints, Gate
@@ -162,7 +162,7 @@ class StageService:
             return
         self._known = good
         stage = self._stage = good.stage
-        self.api.names = addresses(stage, Kind.HTTP)
+        self.api.names = addresses(stage, TriggerKind.HTTP)
         self.inlets.use(stage)
         hook = stage.alerts.webhook
         self._hook = None if hook is None else WebHook(hook, self.note)

@@ -15,10 +15,9 @@ import pytest
 
 from benches import libltc, sound_recorder
 from lss_motion.errors import InputError
-from lss_motion.stage.timecode.options import read_follow, read_send
-from lss_motion.stage.timecode.packets import ARTNET_PORT, read_artnet, read_fpp
+from lss_motion.stage.timecode.messages import ARTNET_PORT, read_artnet, read_fpp
 from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
-from lss_motion.stage.timecode.timecode import FPS_25, Timecode, timecode_of
+from lss_motion.stage.timecode.timecode import FPS_25, Timecode, read_follow, read_send, timecode_of
 
 pytestmark = pytest.mark.realtime
 WAIT_S = 30.0

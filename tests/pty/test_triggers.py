@@ -20,9 +20,9 @@ import pytest
 from rig.stage import may_make_namespaces
 
 from benches import sound_recorder
-from lss_motion.stage.triggers.midi import MidiPort
+from lss_motion.stage.triggers.devices import MidiPort
 from lss_motion.stage.triggers.mqtt import MqttLink, broker_of
-from lss_motion.stage.triggers.osc_port import OscPort
+from lss_motion.stage.triggers.osc import OscPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
@@ -153,7 +153,7 @@ wait $receiver
 RECEIVER = """
 import asyncio
 from lss_motion.stage.triggers.sacn import Levels
-from lss_motion.stage.triggers.sacn_port import SacnPort
+from lss_motion.stage.triggers.sacn import SacnPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
 
 

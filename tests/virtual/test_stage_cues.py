@@ -17,7 +17,7 @@ from lss_motion.sim.faults_file import SENSOR_NAMES
 from lss_motion.stage import running
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
-from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.running import Options, StageRun
 
 S = 1_000_000_000
@@ -150,7 +150,7 @@ def near(at_s, to_s):
 
 
 def press(name):
-    signal = Signal(kind=Kind.CUE, address=name)
+    signal = Signal(kind=TriggerKind.CUE, address=name)
     return lambda director, now_ns: director.signal(signal, now_ns)
 
 
@@ -328,7 +328,7 @@ def test_new_files_are_played_by_the_run_that_goes_on(folder, tmp_path):
         return act
 
     def press(director, now_ns):
-        director.signal(Signal(kind=Kind.KEY, address="g"), now_ns)
+        director.signal(Signal(kind=TriggerKind.KEY, address="g"), now_ns)
 
     acts = [
         (2.0, press),  # Not a cue yet.

@@ -20,8 +20,7 @@ from lss_motion.stage.check import plan_stage
 from lss_motion.stage.file import Sync, TimecodeInput
 from lss_motion.stage.job import StageSteering, options_of, stage_job
 from lss_motion.stage.load import load_stage
-from lss_motion.stage.model import Cue, Trigger
-from lss_motion.stage.model import Kind as TriggerKind
+from lss_motion.stage.model import Cue, Trigger, TriggerKind
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 

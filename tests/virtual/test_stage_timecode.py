@@ -15,7 +15,7 @@ from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.file import TimecodeInput
 from lss_motion.stage.load import load_stage
-from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.stage.stage_timecode import OwnSource, spec_of
 
@@ -64,7 +64,7 @@ class Desk:
     def take(self):
         legs = []
         if self.hand is not None and self.run.now_ns >= self.hand[0] * S:
-            signal = Signal(kind=Kind.CUE, address=self.hand[1])
+            signal = Signal(kind=TriggerKind.CUE, address=self.hand[1])
             self.run.director.signal(signal, self.run.now_ns)
             self.hand = None
         while self.next_ns <= self.run.now_ns:

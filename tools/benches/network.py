@@ -30,7 +30,7 @@ from lss_motion.stage.hosts.clocks import EVERY_NS, ClockEstimator, Exchange
 from lss_motion.stage.hosts.conductor import State
 from lss_motion.stage.hosts.host import TICK_NS
 from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, Status, packed, parse
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkSettings
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ EXCHANGES: Final = 600
 ANSWERER: Final = """
 import sys
 from lss_motion.stage.hosts.peer import Peer
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkSettings
 with Peer(NetworkSettings(stage="bench", figure="a", conductor="a", figures=["a", "b"],
                           address=sys.argv[1]), clock_id="0" * 16) as peer:
     peer.answer_clock()

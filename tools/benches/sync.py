@@ -23,7 +23,7 @@ from lss_motion.playing.run import Observer, perform
 from lss_motion.stage.timecode import chase
 from lss_motion.stage.timecode.chase import Chase, Observation
 from lss_motion.stage.timecode.ltc import sound_of
-from lss_motion.stage.timecode.readers import LtcReader
+from lss_motion.stage.timecode.receive import LtcReader
 from lss_motion.stage.timecode.timecode import FPS_25, timecode_of
 
 if TYPE_CHECKING:

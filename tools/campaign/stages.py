@@ -33,7 +33,7 @@ from lss_motion.sim.faults_file import SENSOR_NAMES
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.log import StageLog
-from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.morning import read_night
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.units import NS_PER_MS, NS_PER_S
@@ -209,7 +209,7 @@ class Hands:
         if now_ns >= self._key_ns:
             self._key_ns = _next_ns(self._keys, now_ns, self._key_s)
             for _ in range(self._keys.choice((1, 1, 1, 2, 30))):  # Some press in a storm.
-                signal = Signal(kind=Kind.KEY, address=self._keys.choice("sssrww"))
+                signal = Signal(kind=TriggerKind.KEY, address=self._keys.choice("sssrww"))
                 self.run.director.signal(signal, now_ns)
         if now_ns >= self._clock_ns:
             self._clock_ns = _next_ns(self._clock, now_ns, self._set_s)

@@ -153,7 +153,7 @@ class Evening:
     def note(self, _record: object) -> None: ...
 
     def _do(self, kind: str, address: str) -> None:
-        from lss_motion.stage.model import Kind, Signal
+        from lss_motion.stage.model import Signal, TriggerKind
 
         director, now_ns = self.run.director, self.run.now_ns
         match kind:
@@ -164,7 +164,7 @@ class Evening:
             case "rest" | "wake" | "stop":
                 director.do(kind, now_ns)
             case _:
-                signal = Signal(kind=Kind(kind), address=address, value=1.0, source="script")
+                signal = Signal(kind=TriggerKind(kind), address=address, value=1.0, source="script")
                 director.signal(signal, now_ns)
 
 

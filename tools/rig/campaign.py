@@ -304,7 +304,7 @@ DEEDS: Final = {
 
 def make_keys(folder: Path, hosts: int) -> Path:
     """Make keys for all, and others by another authority; return the folder of the right ones."""
-    from lss_motion.stage.hosts.settings import make_keys as make
+    from lss_motion.stage.hosts.peer import make_keys as make
 
     for one in ("keys", "wrong"):
         make("rig", [f"f{index}" for index in range(hosts)], folder / one)

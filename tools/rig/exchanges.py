@@ -25,7 +25,7 @@ FILE = Path(__file__).resolve().parents[1] / "benches" / "exchanges.json"
 ANSWERER = """
 import sys
 from lss_motion.stage.hosts.peer import Peer
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkSettings
 with Peer(NetworkSettings(stage="rig", figure="f0", conductor="f0", figures=["f0", "f1"],
                           address="10.77.0.1:7447", is_trusted=True), clock_id="0" * 16) as peer:
     peer.answer_clock()
@@ -37,7 +37,7 @@ import json, sys
 from msgspec.structs import astuple
 from benches.network import exchanged_with
 from lss_motion.stage.hosts.peer import Peer
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkSettings
 with Peer(NetworkSettings(stage="rig", figure="f1", conductor="f0", figures=["f0", "f1"],
                           address=sys.argv[1], is_trusted=True)) as peer:
     made = exchanged_with(peer, "f1", int(sys.argv[2]), 120.0)

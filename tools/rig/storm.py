@@ -16,8 +16,7 @@ from random import Random
 
 from lss_motion.playing.remote.stage_messages import Cue
 from lss_motion.stage.hosts.messages import Ask, ClockQuestion, Status, packed
-from lss_motion.stage.hosts.peer import Peer
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkSettings, Peer
 
 KEYS = ("figure/{}/status", "figure/{}/ask", "figure/{}/clock", "beat", "stop", "clock/{}", "x/y")
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 from lss_motion.playing.remote.message import Event, Message, Name, Operation
 
 SignalKind = Literal["key", "osc", "http", "mqtt", "note", "program", "sacn", "gpio"]
-"""Where a trigger comes from: the kinds of `stage.model.Kind` that a server receives."""
+"""Where a trigger comes from: the kinds of `stage.model.TriggerKind` that a server receives."""
 Source = Annotated[str, Meta(max_length=200)]
 """The sender, for people and the log."""
 

@@ -14,14 +14,12 @@ that clock to within a bound, and its player follows the legs (`playing.player.f
 | `conductor`      | one show at a time on all figures: a table of states  | `host`, `conducting` |
 | `figure`         | a figure: its table of states                         | `host` |
 | `plans`          | plans for all, split, stored and verified by hash     | `host`, `peer` |
-| `settings`       | addresses, keys and access; how zenoh is set up | `peer` |
-| `peer`           | the session with the others, the only importer of zenoh | `host` |
+| `peer`           | addresses, keys and access; the session with the others | `host` |
 | `host`           | one computer: receives, decides, acts                 | `serving` |
 | `player_link`    | starts and steers the player of a figure              | `serving` |
 | `examine`        | a stage before the doors open: `doctor --stage`       | `host`, `cli` |
-| `conducting`     | couples the director of a stage with its conductor    | `stage_job` |
-| `serving`        | one figure of a stage, until it is ended              | `cli`, `stage_job` |
-| `stage_job`      | the conductor's process, steered by a server of pages | `studio` |
+| `conducting`     | couples the director of a stage with its conductor    | `serving` |
+| `serving`        | one figure of a stage; the conductor's process        | `cli`, `studio`  |
 
 From a cue to a byte: director (`stage.director`) → conductor ↔ figure → player.
 

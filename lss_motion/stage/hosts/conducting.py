@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from random import Random
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -24,7 +24,7 @@ from lss_motion.stage import orders
 from lss_motion.stage.director import Director
 from lss_motion.stage.hosts.conductor import Wish
 from lss_motion.stage.job import direct, signal_of
-from lss_motion.stage.records import Records, must_restart, renewed, state_word
+from lss_motion.stage.log import Records, must_restart, renewed, state_word
 from lss_motion.stage.stage_timecode import READY_MAX_S
 from lss_motion.stage.triggering import JUMP_S
 from lss_motion.units import NS_PER_MS, NS_PER_S
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from lss_motion.stage.hosts.host import Host
     from lss_motion.stage.hosts.messages import Ask, Cast
     from lss_motion.stage.hosts.remote_figures import RemoteFigure
+    from lss_motion.stage.log import Record
     from lss_motion.stage.model import Stage
     from lss_motion.stage.stage_timecode import StageTimecode
 
-    Record = dict[str, Any]
 
 READY_AHEAD_S: Final = 12.0
 """Figures go to the beginning of a show so long before the timecode comes there."""

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.stage.hosts.conductor import Conductor
     from lss_motion.stage.hosts.figure import Figure
+    from lss_motion.stage.hosts.peer import NetworkSettings
     from lss_motion.stage.hosts.remote_figures import RemoteFigure
-    from lss_motion.stage.hosts.settings import NetworkSettings
 
 WAIT_S: Final = 30.0
 """Figures that have not examined themselves by then are named as they are."""

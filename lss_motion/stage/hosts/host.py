@@ -56,10 +56,9 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.stage.hosts.conductor import Others
     from lss_motion.stage.hosts.messages import Cast
-    from lss_motion.stage.hosts.peer import Arrival, Peer
+    from lss_motion.stage.hosts.peer import Arrival, NetworkSettings, Peer
     from lss_motion.stage.hosts.plans import PlanStore
     from lss_motion.stage.hosts.player_link import PlayerLink
-    from lss_motion.stage.hosts.settings import NetworkSettings
 
 TURN_S: Final = 0.005
 """A turn waits for messages at most so long."""

@@ -17,11 +17,19 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.stage.timecode import midi, mtc, packets
+from lss_motion.stage.timecode import midi
 from lss_motion.stage.timecode.ltc import levels
-from lss_motion.stage.timecode.options import SendSpec
+from lss_motion.stage.timecode.messages import (
+    PIECES,
+    Action,
+    FppReading,
+    artnet_packet,
+    fpp_packet,
+    locate,
+    quarter_frame,
+)
 from lss_motion.stage.timecode.receive import SourceError, TimecodeFailed, TimecodeOpened
-from lss_motion.stage.timecode.timecode import timecode_of
+from lss_motion.stage.timecode.timecode import SendSpec, timecode_of
 from lss_motion.system.clock_leg import ClockLeg  # noqa: TC001  (msgspec reads the type)
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import serve
@@ -147,15 +155,15 @@ class MtcSender(Pulses):
 
     def emit(self, number: int) -> None:
         """Send a quarter frame; a label begins with piece 0, at an even frame."""
-        piece = number % mtc.PIECES
+        piece = number % PIECES
         self._is_whole = self._is_whole or piece == 0
         if self._is_whole:
-            frame = number // mtc.PIECES * 2
-            self._send(mtc.quarter_frame(frame, piece, self.spec.rate))
+            frame = number // PIECES * 2
+            self._send(quarter_frame(frame, piece, self.spec.rate))
 
     def stand(self, number: int) -> None:
         self._is_whole = False
-        self._send(mtc.locate(timecode_of(number // 4, self.spec.rate), self.spec.rate))
+        self._send(locate(timecode_of(number // 4, self.spec.rate), self.spec.rate))
 
     def jump(self, number: int) -> None:
         self.stand(number)
@@ -201,7 +209,7 @@ class ArtNetSender(PacketSender):
         self.pulses_hz = spec.rate.frames_per_s
 
     def emit(self, number: int) -> None:
-        self.send(packets.artnet_packet(timecode_of(number, self.spec.rate), self.spec.rate))
+        self.send(artnet_packet(timecode_of(number, self.spec.rate), self.spec.rate))
 
     def stand(self, number: int) -> None:
         self.emit(number)
@@ -254,11 +262,11 @@ class FppSender(PacketSender):
         self.stand(self._last or 0)
         super().end()
 
-    def _send_action(self, action: packets.Action, number: int) -> None:
+    def _send_action(self, action: Action, number: int) -> None:
         seconds = number / FPP_HZ
         frame = round(seconds * self.spec.rate.frames_per_s)
         name = f"{self.show.name or 'show'}.fseq"
-        self.send(packets.fpp_packet(packets.FppReading(action, "sequence", frame, seconds, name)))
+        self.send(fpp_packet(FppReading(action, "sequence", frame, seconds, name)))
 
 
 class LtcSender:

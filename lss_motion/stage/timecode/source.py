@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.following import Following
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.runner import Controls
-    from lss_motion.stage.timecode.options import FollowSpec, SendSpec
     from lss_motion.stage.timecode.send import SendOrder
+    from lss_motion.stage.timecode.timecode import FollowSpec, SendSpec
     from lss_motion.system.clock_leg import ClockLeg
 
 OPEN_S: Final = 10.0

@@ -6,12 +6,9 @@ the one thread of the server. No source reaches the player: the server sends it 
 | file        | what it is                                                        |
 | ----------- | ----------------------------------------------------------------- |
 | `sources`   | allow-list, rate limit, thresholds and complaints of all sources  |
-| `osc`       | Open Sound Control as values                                      |
-| `osc_port`  | its UDP port, with feedback to those who subscribe                |
+| `osc`       | Open Sound Control, with feedback to those who subscribe          |
 | `sacn`      | sACN as levels, and the thresholds that they cross                |
-| `sacn_port` | its UDP port, and the groups of universes                         |
-| `midi`      | notes and program changes of an input that may vanish             |
-| `gpio`      | buttons at the pins of a Raspberry Pi                             |
+| `devices`   | MIDI inputs, and buttons at the pins of a Raspberry Pi            |
 | `mqtt`      | a broker of messages, and what Home Assistant is told             |
 | `alerts`    | faults as a POST to a web hook                                    |
 """

@@ -10,8 +10,7 @@ from lss_motion.playing.remote import stage_messages as s
 from lss_motion.robot.load import load_robot
 from lss_motion.stage.hosts.host import Host
 from lss_motion.stage.hosts.messages import Ask, packed
-from lss_motion.stage.hosts.peer import Arrival
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import Arrival, NetworkSettings
 
 ROBOT = """\
 robot: arm

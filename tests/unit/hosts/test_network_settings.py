@@ -3,7 +3,7 @@
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.stage.hosts.settings import (
+from lss_motion.stage.hosts.peer import (
     NetworkSettings,
     check_settings,
     configuration,

@@ -9,8 +9,7 @@ pytest.importorskip("zenoh", reason="needs the extra `network`")
 
 from lss_motion.errors import BusError
 from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, hash_of, packed, parse
-from lss_motion.stage.hosts.peer import Peer
-from lss_motion.stage.hosts.settings import NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkSettings, Peer
 
 
 def free_port():
@@ -106,7 +105,7 @@ def test_a_figure_may_start_before_its_conductor():
 
 
 def keyed(pair_of_folders, names=("left", "right")):
-    from lss_motion.stage.hosts.settings import make_keys
+    from lss_motion.stage.hosts.peer import make_keys
 
     for folder in pair_of_folders:
         make_keys("hall", names, folder)

@@ -19,13 +19,13 @@ from lss_motion.stage.file import Budget
 from lss_motion.stage.model import (
     Cue,
     Duty,
-    Kind,
     LogRule,
     Retry,
     Signal,
     Stage,
     StageShow,
     Trigger,
+    TriggerKind,
 )
 from lss_motion.units import NS_PER_S
 from tests.tables import titled
@@ -44,7 +44,7 @@ SHOWS = {
 def key(name, **other):
     show = other.pop("play", "a")
     shows = (show,) if isinstance(show, str) else tuple(show or ())
-    return Cue(name=name, on=Trigger(kind=Kind.KEY, address=name), shows=shows, **other)
+    return Cue(name=name, on=Trigger(kind=TriggerKind.KEY, address=name), shows=shows, **other)
 
 
 class Desk:
@@ -87,7 +87,7 @@ class Desk:
 
     def press(self, *names):
         for name in names:
-            self.signal(Signal(kind=Kind.KEY, address=name))
+            self.signal(Signal(kind=TriggerKind.KEY, address=name))
             self.wait(0.5)
 
     def signal(self, signal):
@@ -129,7 +129,7 @@ class Desk:
         """
         for word in text.split():
             if word == "GO":
-                self.signal(Signal(kind=Kind.GO))
+                self.signal(Signal(kind=TriggerKind.GO))
             elif word[0] == "-":
                 self.finish(word[1:])
             elif word[0] == "=":
@@ -243,7 +243,7 @@ def test_an_interrupted_show_goes_on_where_it_was():
 def test_a_button_that_bounces_is_pressed_once():
     desk = Desk(key("x", start="restart"))
     for _ in range(5):
-        desk.signal(Signal(kind=Kind.KEY, address="x"))
+        desk.signal(Signal(kind=TriggerKind.KEY, address="x"))
     assert desk.refusal("x") == "it has fired just before"
     assert [play.show for play in desk.plays] == ["idle", "a"]
 
@@ -274,7 +274,7 @@ def test_random_plays_each_show_once_before_any_again_and_none_twice_in_a_row():
 
 
 def test_the_end_of_a_show_is_a_trigger_before_the_idle_show():
-    chain = Cue(name="next", on=Trigger(kind=Kind.END_OF, address="a"), shows=("b",))
+    chain = Cue(name="next", on=Trigger(kind=TriggerKind.END_OF, address="a"), shows=("b",))
     desk = Desk(key("x"), chain)
     desk.press("x")
     desk.wait(5)
@@ -298,17 +298,19 @@ def test_a_show_that_cannot_be_played_is_refused_with_the_reason_of_the_player()
 
 
 def test_go_fires_its_cues_in_turn_is_debounced_and_can_be_armed():
-    goes = [Cue(name=n, on=Trigger(kind=Kind.GO), shows=(n,), start="terminate") for n in "ab"]
+    goes = [
+        Cue(name=n, on=Trigger(kind=TriggerKind.GO), shows=(n,), start="terminate") for n in "ab"
+    ]
     desk = Desk(*goes, key("y", play="sleep", start="terminate"))
     for expected in ("a", "b", "a"):
         assert desk.director.next_go() == expected
-        desk.signal(Signal(kind=Kind.GO))
+        desk.signal(Signal(kind=TriggerKind.GO))
         assert desk.shown == [expected]
-        desk.signal(Signal(kind=Kind.GO))
+        desk.signal(Signal(kind=TriggerKind.GO))
         assert desk.shown == [expected]
         desk.wait(1)
     desk.director.arm("y")
-    desk.signal(Signal(kind=Kind.GO))
+    desk.signal(Signal(kind=TriggerKind.GO))
     assert desk.shown == ["sleep"]
     assert desk.director.next_go() == "a"
 
@@ -322,7 +324,7 @@ def test_a_stage_begins_at_its_instant():
 
 
 def test_the_start_of_the_stage_is_a_trigger_once():
-    first = Cue(name="first", on=Trigger(kind=Kind.START), shows=("a",))
+    first = Cue(name="first", on=Trigger(kind=TriggerKind.START), shows=("a",))
     desk = Desk(first)
     assert desk.shown == ["a"]
     desk.director.faulted(Cause.SILENT, "gone", desk.now_ns)
@@ -338,11 +340,11 @@ def test_the_start_of_the_stage_is_a_trigger_once():
 
 
 def reading(value):
-    return Signal(kind=Kind.SENSOR, address="door", value=value)
+    return Signal(kind=TriggerKind.SENSOR, address="door", value=value)
 
 
 def test_a_sensor_fires_once_when_two_readings_in_a_row_meet_its_condition():
-    on = Trigger(kind=Kind.SENSOR, address="door", side="below", threshold=800.0)
+    on = Trigger(kind=TriggerKind.SENSOR, address="door", side="below", threshold=800.0)
     desk = Desk(Cue(name="v", on=on, shows=("a",), start="terminate"))
     counts = []
     for value in (900, 700, 900, 700, 700, 600, 900, 600, 600, 900, 900, 700, 700):
@@ -353,14 +355,16 @@ def test_a_sensor_fires_once_when_two_readings_in_a_row_meet_its_condition():
 
 
 def test_a_button_by_osc_fires_when_it_is_pressed_and_a_fader_when_it_passes():
-    push = Cue(name="p", on=Trigger(kind=Kind.OSC, address="/go"), shows=("a",), start="restart")
+    push = Cue(
+        name="p", on=Trigger(kind=TriggerKind.OSC, address="/go"), shows=("a",), start="restart"
+    )
     fader = replace(push, name="f", on=replace(push.on, address="/f", side="above", threshold=0.5))
     desk = Desk(push, fader)
     for address, value in [("/go", 1.0), ("/go", 0.0), ("/go", None), ("/f", 0.4), ("/f", 0.6)]:
-        desk.signal(Signal(kind=Kind.OSC, address=address, value=value))
+        desk.signal(Signal(kind=TriggerKind.OSC, address=address, value=value))
         desk.wait(1)
     for value in (0.7, 0.8, 0.2, 0.9):
-        desk.signal(Signal(kind=Kind.OSC, address="/f", value=value))
+        desk.signal(Signal(kind=TriggerKind.OSC, address="/f", value=value))
         desk.wait(1)
     fired = [note.split(":")[0] for note in desk.notes if note.startswith("cue")]
     assert fired == ["cue p", "cue p", "cue f", "cue f"]
@@ -519,7 +523,7 @@ def test_readings_that_come_all_the_time_do_not_put_off_the_clock():
 
 
 def timed(name, at_s, show):
-    on = Trigger(kind=Kind.TIMECODE, address=name, at_s=at_s)
+    on = Trigger(kind=TriggerKind.TIMECODE, address=name, at_s=at_s)
     return Cue(name=name, on=on, shows=(show,), start="terminate", follows=True)
 
 
@@ -654,7 +658,10 @@ def test_timecode_of_another_show_ends_the_wait_and_starts_that_one():
 
 def test_the_clock_may_be_set_in_mid_show_and_no_cue_fires_twice():
     every = Cue(
-        name="ten", on=Trigger(kind=Kind.TIME, address="*/10 * * * *"), shows=("b",), start="add"
+        name="ten",
+        on=Trigger(kind=TriggerKind.TIME, address="*/10 * * * *"),
+        shows=("b",),
+        start="add",
     )
     desk = Desk(every, key("x"))
     desk.press("x")

@@ -11,10 +11,11 @@ import pytest
 from lss_motion.errors import InputError, install_command
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.on_fault import Cause
-from lss_motion.stage import is_stage_file, time_of_day
+from lss_motion.stage import is_stage_file
 from lss_motion.stage.file import Budget
 from lss_motion.stage.load import load_stage, stage_schema, timecode_s
-from lss_motion.stage.model import Kind
+from lss_motion.stage.model import TriggerKind
+from lss_motion.stage.triggering import cron_problem
 
 WHOLE = """\
 cues:
@@ -45,7 +46,11 @@ def test_every_value_of_a_stage_is_read(kit):
     assert (stage.name, stage.robot.name, stage.idle) == ("hall", "puppet", "idle")
     assert stage.shows["scare"].path == kit.folder / "scare.yaml"
     visitor = by_name["visitor"]
-    assert (visitor.on.kind, visitor.on.address, visitor.on.side) == (Kind.SENSOR, "door", "below")
+    assert (visitor.on.kind, visitor.on.address, visitor.on.side) == (
+        TriggerKind.SENSOR,
+        "door",
+        "below",
+    )
     assert (visitor.on.threshold, visitor.cooldown_s, visitor.line) == (800.0, 20.0, 6)
     assert by_name["ten"].shows == ("hello", "scare")
     assert by_name["ten"].choice == "random"
@@ -185,4 +190,4 @@ def test_a_stage_file_is_told_from_a_show(kit):
 def test_times_of_day_say_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cronsim", None)
     with pytest.raises(InputError, match=re.escape(install_command("stage"))):
-        time_of_day.cron_problem("* * * * *")
+        cron_problem("* * * * *")

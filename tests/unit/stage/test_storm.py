@@ -14,7 +14,16 @@ from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import QUEUE_MAX, Director, ShowInfo
 from lss_motion.stage.file import Budget
-from lss_motion.stage.model import Cue, Duty, Kind, LogRule, Signal, Stage, StageShow, Trigger
+from lss_motion.stage.model import (
+    Cue,
+    Duty,
+    LogRule,
+    Signal,
+    Stage,
+    StageShow,
+    Trigger,
+    TriggerKind,
+)
 from lss_motion.units import NS_PER_S
 
 STARTS = ("only_if_idle", "add", "interrupt", "terminate", "restart", "queue")
@@ -193,7 +202,7 @@ def test_the_start_modes_do_what_a_model_of_them_does(made, acts):
     cues = [
         Cue(
             name=f"k{number}",
-            on=Trigger(kind=Kind.KEY, address=f"k{number}"),
+            on=Trigger(kind=TriggerKind.KEY, address=f"k{number}"),
             shows=(show,),
             start=start,
             priority=priority,
@@ -218,7 +227,7 @@ def test_the_start_modes_do_what_a_model_of_them_does(made, acts):
         else:
             name = cues[number % len(cues)].name
             desk.notes.clear()
-            desk.director.signal(Signal(kind=Kind.KEY, address=name), desk.now_ns)
+            desk.director.signal(Signal(kind=TriggerKind.KEY, address=name), desk.now_ns)
             desk.obey()
             heard = [n for n in desk.notes if isinstance(n, orders.CueFired | orders.CueRefused)]
             assert [one.cue for one in heard] == [name], "each trigger ends in one note"
@@ -239,7 +248,7 @@ def test_in_any_storm_joints_have_one_show_rests_are_kept_and_every_trigger_is_e
     cues = [
         Cue(
             name=f"k{number}",
-            on=Trigger(kind=Kind.KEY, address="k"),
+            on=Trigger(kind=TriggerKind.KEY, address="k"),
             shows=(show, "a"),
             choice="random",
             start=start,
@@ -280,7 +289,7 @@ def act(desk, event, number):  # noqa: C901  (a table)
     director, numbers = desk.director, list(desk.playing)
     match event:
         case "press":
-            director.signal(Signal(kind=Kind.KEY, address="k"), desk.now_ns)
+            director.signal(Signal(kind=TriggerKind.KEY, address="k"), desk.now_ns)
         case "finish" | "refuse" if numbers:
             play = desk.playing.pop(numbers[number % len(numbers)])
             if event == "finish":

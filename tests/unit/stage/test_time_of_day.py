@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.stage.time_of_day import CORRECTED, LATE, CronClock, clock_time, is_within
+from lss_motion.stage.triggering import CORRECTED, LATE, CronClock, clock_time, is_within
 
 BERLIN = ZoneInfo("Europe/Berlin")
 SPRING = datetime(2026, 3, 29, 1, 0, tzinfo=UTC)  # 02:00 becomes 03:00

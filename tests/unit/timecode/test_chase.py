@@ -10,8 +10,8 @@ import pytest
 from lss_motion.stage.timecode import chase
 from lss_motion.stage.timecode.chase import Chase, Observation, State
 from lss_motion.stage.timecode.ltc import levels, sound_of
-from lss_motion.stage.timecode.packets import FppReading, fpp_packet
-from lss_motion.stage.timecode.readers import ArtNetReader, FppReader, LtcReader, MtcReader
+from lss_motion.stage.timecode.messages import FppReading, fpp_packet
+from lss_motion.stage.timecode.receive import ArtNetReader, FppReader, LtcReader, MtcReader
 from lss_motion.stage.timecode.timecode import (
     FPS_23_976,
     FPS_24,

@@ -7,8 +7,8 @@ import struct
 
 import pytest
 
-from lss_motion.stage.timecode import mtc, packets
-from lss_motion.stage.timecode.mtc import MtcDecoder
+from lss_motion.stage.timecode import messages as m
+from lss_motion.stage.timecode.messages import MtcDecoder
 from lss_motion.stage.timecode.timecode import (
     CODED,
     FPS_25,
@@ -43,7 +43,7 @@ def test_what_is_sent_is_read_in_every_rate_and_a_lost_piece_gives_no_wrong_labe
         labels.add(timecode_of(frame, rate))
         if luck.random() < 0.02:
             continue
-        message = mtc.quarter_frame(frame, quarter % 8, rate)
+        message = m.quarter_frame(frame, quarter % 8, rate)
         read += decoder.take(message, quarter)
     assert len(read) > 8 * 25
     assert {reading.timecode for reading in read} <= labels
@@ -64,46 +64,46 @@ def test_backward_pieces_are_backward_and_a_locate_stands():
     assert [(r.timecode, r.rate, r.direction) for r in located] == [
         (Timecode(1, 2, 3, 4), FPS_30, 0)
     ]
-    assert mtc.locate(Timecode(1, 2, 3, 4), FPS_30).hex() == "f07f7f010161020304f7"
+    assert m.locate(Timecode(1, 2, 3, 4), FPS_30).hex() == "f07f7f010161020304f7"
 
 
 def test_an_art_net_packet_is_the_one_of_the_standard():
     packet = b"Art-Net\0" + bytes.fromhex("0097 000E 0000 02 3B 09 17 02")
-    assert packets.artnet_packet(Timecode(23, 9, 59, 2), FPS_29_97_DROP) == packet
-    read = packets.read_artnet(packet)
+    assert m.artnet_packet(Timecode(23, 9, 59, 2), FPS_29_97_DROP) == packet
+    read = m.read_artnet(packet)
     assert read == (Timecode(23, 9, 59, 2), FPS_29_97_DROP, 0)
     dropped = bytearray(packet)
     dropped[14:16] = 1, 0  # 23:09:00;01 does not exist.
-    assert packets.read_artnet(bytes(dropped)) is None
+    assert m.read_artnet(bytes(dropped)) is None
 
 
 def test_an_fpp_packet_is_the_one_of_its_sources():
     packet = b"FPPD\x01" + struct.pack("<HBBIf", 19, 2, 0, 500, 12.5) + b"show.fseq"
-    assert packets.read_fpp(packet) is None, "the name has no end"
+    assert m.read_fpp(packet) is None, "the name has no end"
     packet = b"FPPD\x01" + struct.pack("<HBBIf", 20, 2, 0, 500, 12.5) + b"show.fseq\0"
-    read = packets.read_fpp(packet)
+    read = m.read_fpp(packet)
     assert read == ("sync", "sequence", 500, 12.5, "show.fseq")
-    assert packets.fpp_packet(read) == packet
+    assert m.fpp_packet(read) == packet
 
 
-@pytest.mark.parametrize("read", [packets.read_artnet, packets.read_fpp])
+@pytest.mark.parametrize("read", [m.read_artnet, m.read_fpp])
 def test_garbage_is_no_packet_and_raises_nothing(read):
     luck = random.Random(7)
     good = [
-        packets.artnet_packet(Timecode(1, 2, 3, 4), FPS_25),
-        packets.fpp_packet(packets.FppReading("sync", "media", 1, 2.0, "a.mp3")),
+        m.artnet_packet(Timecode(1, 2, 3, 4), FPS_25),
+        m.fpp_packet(m.FppReading("sync", "media", 1, 2.0, "a.mp3")),
     ]
     for _ in range(4000):
         data = bytearray(luck.choice(good))
         for _ in range(luck.randrange(1, 6)):
             data[luck.randrange(len(data))] = luck.randrange(256)
         found = read(bytes(data[: luck.randrange(len(data) + 1)]))
-        if found is not None and read is packets.read_artnet:
+        if found is not None and read is m.read_artnet:
             assert found.timecode.is_valid(found.rate)
         elif found is not None:
             assert 0.0 <= found.seconds <= 86400.0
     nan = b"FPPD\x01" + struct.pack("<HBBIf", 12, 2, 0, 5, float("nan")) + b"a\0"
-    assert packets.read_fpp(nan) is None
+    assert m.read_fpp(nan) is None
 
 
 def test_midi_garbage_raises_nothing_and_gives_only_labels_that_exist():

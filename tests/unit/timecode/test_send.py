@@ -10,8 +10,7 @@ import pytest
 from benches import libltc
 from lss_motion.sound import device
 from lss_motion.stage.timecode import send
-from lss_motion.stage.timecode.options import read_send
-from lss_motion.stage.timecode.timecode import FPS_25
+from lss_motion.stage.timecode.timecode import FPS_25, read_send
 from lss_motion.system.clock_leg import ClockLeg
 
 RATE_HZ = 48000

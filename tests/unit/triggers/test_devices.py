@@ -10,9 +10,8 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.stage.timecode import midi as sync_midi
-from lss_motion.stage.triggers import midi, mqtt
-from lss_motion.stage.triggers.gpio import GpioPins
-from lss_motion.stage.triggers.midi import MidiPort, trigger_of
+from lss_motion.stage.triggers import devices, mqtt
+from lss_motion.stage.triggers.devices import GpioPins, MidiPort, trigger_of
 from lss_motion.stage.triggers.sources import AllowList, Crossings, Gate
 
 
@@ -66,8 +65,8 @@ class Inputs:
 
 
 def test_a_device_that_vanishes_is_said_and_opened_again(monkeypatch):
-    monkeypatch.setattr(midi, "LOOK_S", 0.01)
-    monkeypatch.setattr(midi, "MISSING_S", 0.01)
+    monkeypatch.setattr(devices, "LOOK_S", 0.01)
+    monkeypatch.setattr(devices, "MISSING_S", 0.01)
     said, done = [], []
 
     async def run():

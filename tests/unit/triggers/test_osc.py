@@ -19,7 +19,7 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 from pythonosc.osc_packet import OscPacket
 
 from lss_motion.stage.triggers import osc
-from lss_motion.stage.triggers.osc_port import SUBSCRIBED_S, SUBSCRIBERS_MAX, OscPort, Subscribers
+from lss_motion.stage.triggers.osc import SUBSCRIBED_S, SUBSCRIBERS_MAX, OscPort, Subscribers
 from lss_motion.stage.triggers.sources import AllowList, Crossings, Gate
 
 CUES = frozenset({"/hall/door", "/fader"})

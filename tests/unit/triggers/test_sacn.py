@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lss_motion.stage.triggers import sacn
-from lss_motion.stage.triggers.sacn_port import SacnPort
+from lss_motion.stage.triggers.sacn import SacnPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
 
 DESK, OTHER = bytes(range(16)), bytes(16)
