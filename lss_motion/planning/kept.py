@@ -58,6 +58,8 @@ _OTHER_VALUES: Final = frozenset(
     {
         ("msgspec._utils", "rebuild"),  # of a Struct with keywords, from its class and fields
         ("numpy", "dtype"),
+        ("numpy", "ndarray"),
+        ("numpy._core.multiarray", "_reconstruct"),  # of every array, by numpy 2.0
         ("numpy._core.numeric", "_frombuffer"),
         ("pathlib", "PosixPath"),
         ("pathlib", "WindowsPath"),
