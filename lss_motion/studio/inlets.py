@@ -34,7 +34,7 @@ AGAIN_S: Final = 5.0
 ALWAYS: Final = ("127.0.0.0/8", "::1/128")
 MODULES: Final[Mapping[str, tuple[str, str]]] = {
     "osc": ("pythonosc", "stage"),
-    "midi": ("rtmidi", "stage"),
+    "midi": ("rtmidi", "midi"),
     "mqtt": ("paho", "stage"),
     "gpio": ("gpiozero", "gpio"),
 }

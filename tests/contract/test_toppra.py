@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
+import os
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -90,3 +93,20 @@ def test_the_releases_that_are_allowed_are_those_of_one_minor_version():
     """A new minor version of toppra is tried here first: the wrapper is not part of its API."""
     dependencies = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["dependencies"]
     assert "toppra>=0.6.3,<0.7" in dependencies
+
+
+@pytest.mark.slow
+def test_no_warning_is_printed_where_nothing_is_compiled_yet(tmp_path):
+    """Without bytecode Python compiles toppra, and warns of escapes in its docstrings."""
+    plan = "import lss_motion as lss; robot = lss.load_robot('robots/desk_arm.yaml'); "
+    plan += "print(lss.plan(lss.load_sequence('fastest.yaml'), robot).duration_s > 0)"
+    done = subprocess.run(
+        [sys.executable, "-X", f"pycache_prefix={tmp_path}", "-W", "default", "-c", plan],
+        cwd=PYPROJECT.parent / "sequences",
+        env={**os.environ, "LSS_MOTION_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert (done.stdout, done.stderr) == ("True\n", "")

@@ -204,7 +204,7 @@ def test_ola_crosses_a_level_in_a_network_of_its_own(tmp_path):
 
 def test_a_note_of_another_program_comes_through_jack():
     needs("jackd", "jack_midiseq", install="sudo apt install jackd2")
-    pytest.importorskip("rtmidi", reason="pip install 'lss-motion[sync]'")
+    pytest.importorskip("rtmidi", reason="pip install 'lss-motion[midi]'")
     done, said = [], []
 
     async def run():

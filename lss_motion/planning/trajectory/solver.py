@@ -13,6 +13,7 @@ with an end rate that may be free, and with second derivatives that differ on bo
 from __future__ import annotations
 
 import math
+import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -607,8 +608,12 @@ def _stage_solver(
     grid_s: FloatArray, rows: FloatArray, tilts: FloatArray, caps: FloatArray
 ) -> Callable[..., Any]:
     """Return toppra's `solve_stagewise_optim` for these cells. Importing toppra takes a second."""
-    from toppra.constraint import LinearConstraint
-    from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
+    with warnings.catch_warnings():
+        # Python prints faults of toppra's docstrings where it compiles them.
+        warnings.simplefilter("ignore", SyntaxWarning)
+        warnings.simplefilter("ignore", DeprecationWarning)
+        from toppra.constraint import LinearConstraint
+        from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
     class Limits(LinearConstraint):  # type: ignore[misc]  # toppra is untyped
         """Rows in both directions, or caps. The last grid point has no rows of its own."""

@@ -28,7 +28,7 @@ def rtmidi_module() -> ModuleType:
     try:
         import rtmidi
     except ImportError as error:
-        raise NoPortError(f"MIDI needs a library: {install_command('sync')}") from error
+        raise NoPortError(f"MIDI needs a library: {install_command('midi')}") from error
     module: ModuleType = rtmidi
     return module
 
