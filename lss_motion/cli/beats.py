@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.sound.beats import Beats
-    from lss_motion.sound.spectra import Part
+    from lss_motion.sound.files import SoundPart
 
     FloatArray = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def add_to(commands: Commands) -> None:
 def _beats(arguments: argparse.Namespace) -> int:
     from lss_motion.show.file import EVENTS_MAX
     from lss_motion.sound.beats import beats_of, every, half_shifted
-    from lss_motion.sound.spectra import Part
+    from lss_motion.sound.files import SoundPart
 
     require_outputs(
         [Output(arguments.plot, Kind.PICTURE)],
@@ -103,7 +103,7 @@ def _beats(arguments: argparse.Namespace) -> int:
     if arguments.anchors and arguments.into is None:
         raise InputError("--anchors: only with --into, the sequence file of the keyframes")
     before = None if arguments.into is None else _beats_of_show(arguments)
-    part = Part(path=arguments.file, channel=arguments.channel)
+    part = SoundPart(path=arguments.file, channel=arguments.channel)
     found = beats_of(part, arguments.bpm)
     at_s = half_shifted(found.at_s) if arguments.shift else found.at_s
     at_s = every(at_s, arguments.from_s, arguments.every).round(DIGITS)
@@ -185,13 +185,13 @@ def _into(path: Path, at_s: FloatArray, *, is_anchored: bool) -> str:
     return f"{path}: {len(at_s)} beats; at_beat: 1 is at {at_s[0]:g} s"
 
 
-def plot_beats(path: Path, part: Part, found: Beats, at_s: FloatArray) -> None:
+def plot_beats(path: Path, part: SoundPart, found: Beats, at_s: FloatArray) -> None:
     """Draw the music, the strength of its onsets and the beats, in rows of a minute at most."""
     import numpy as np
 
     from lss_motion.planning.picture import new_figure, save
     from lss_motion.sound.beats import LATER_S
-    from lss_motion.sound.waveform import draw_beats, draw_waveform, waveform
+    from lss_motion.sound.envelope import draw_beats, draw_waveform, waveform
 
     wave = waveform(part, ROWS_MAX * 1200)
     end_s = float(wave.at_s[-1])

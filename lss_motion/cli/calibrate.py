@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.calibration import Frame
+    from lss_motion.maintenance.settings import Frame
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.robot.model import Joint, Robot
 
@@ -123,7 +123,7 @@ class CalibrateControls(HandsControls):
         return next((j for j in hands_on.joints if j.name not in self._frames), None)
 
     def _ask_for_push(self, hands_on: HandsOn) -> None:
-        from lss_motion.maintenance.calibration import MOVED_MIN_DEG
+        from lss_motion.maintenance.settings import MOVED_MIN_DEG
 
         joint = self._next(hands_on)
         if joint is not None:
@@ -142,7 +142,7 @@ class CalibrateControls(HandsControls):
         self.print(f"press y to write this to {goal}, n to change nothing")
 
     def _take_push(self, hands_on: HandsOn, joint: Joint, *, is_pushed: bool) -> None:
-        from lss_motion.maintenance.calibration import MOVED_MIN_DEG, frame_of
+        from lss_motion.maintenance.settings import MOVED_MIN_DEG, frame_of
 
         frame = frame_of(
             joint,
@@ -162,7 +162,7 @@ class CalibrateControls(HandsControls):
         return {key: wire for key, wire in answers.items() if wire is not None}
 
     def _write(self, hands_on: HandsOn) -> None:
-        from lss_motion.maintenance.calibration import Frame, moved_origin, stated_frame
+        from lss_motion.maintenance.settings import Frame, moved_origin, stated_frame
         from lss_motion.robot.write import write_frames
 
         assert self._robot.path is not None

@@ -232,7 +232,7 @@ def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path]
 
             return ask_limits(robot, port=arguments.port)
         if robot.unread and arguments.robot_cache is not None:
-            from lss_motion.maintenance.backup import with_backup
+            from lss_motion.maintenance.settings import with_backup
 
             return with_backup(robot, arguments.robot_cache)
         return robot

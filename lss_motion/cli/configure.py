@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.backup import ServoBackup
-    from lss_motion.maintenance.settings import Target
+    from lss_motion.maintenance.settings import ServoBackup, Target
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.discovery import ServoIdentity
     from lss_motion.robot.model import Bus, Joint, Robot
@@ -138,8 +137,7 @@ def _configure(arguments: argparse.Namespace) -> int:
 
 def _note_other_hosts(connection: Connection) -> None:
     """Print what arrives on the buses without a query of this program."""
-    from lss_motion.maintenance.findings import other_hosts
-    from lss_motion.maintenance.survey import observed
+    from lss_motion.maintenance.survey import observed, other_hosts
 
     for bus in connection.buses.values():
         for text in other_hosts(bus.port, observed(connection, bus.name)):
@@ -403,7 +401,7 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
 
 def _require_own_ids(servos: Sequence[ServoIdentity], port: str) -> None:
     """Raise `BusError` if several servos share an id, or may share it."""
-    from lss_motion.maintenance.findings import doubtful_text
+    from lss_motion.maintenance.survey import doubtful_text
 
     shared = [present.servo_id for present in servos if present.is_shared]
     if shared:
@@ -474,7 +472,7 @@ def _back_up(
 ) -> int:
     """Write all stored settings to a file."""
     from lss_motion.cli import servo_settings
-    from lss_motion.maintenance.backup import ServoBackup, backup_text
+    from lss_motion.maintenance.settings import ServoBackup, backup_text
     from lss_motion.maintenance.survey import query_each
 
     output = Output(path, Kind.YAML)
@@ -507,7 +505,7 @@ def _back_up(
 def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
     """Write the settings of a backup. A servo with the factory id gets its old id first."""
     from lss_motion.cli import servo_settings
-    from lss_motion.maintenance.backup import read_backup
+    from lss_motion.maintenance.settings import read_backup
 
     servos = [
         kept

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
     from lss_motion.maintenance.identify.estimate import Identified
-    from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.maintenance.identify.joint_run import Experiment
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.log import Log
     from lss_motion.robot.model import Joint, Robot
@@ -131,7 +131,7 @@ def _identify(arguments: argparse.Namespace) -> int:
 def _from_log(arguments: argparse.Namespace) -> int:
     """Measure by the log of a show, joint by joint; nothing moves."""
     from lss_motion.maintenance.identify.show_fit import identify_from_show
-    from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings
+    from lss_motion.maintenance.identify.show_pieces import LoggedBytes, recordings
     from lss_motion.playing.log import ReceivedLine, SentLine, read_log
 
     robot = robot_at(arguments.robot, None)
@@ -258,7 +258,7 @@ def _measured(
     connection: Connection, robot: Robot, joint: Joint, span_deg: float, terminal: Terminal
 ) -> Experiment:
     """Run the trials of one joint; raise the error that ended them."""
-    from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.maintenance.identify.joint_run import Experiment
     from lss_motion.maintenance.identify.trials import make_window
     from lss_motion.playing.player import handshake
     from lss_motion.playing.runner import run
@@ -305,12 +305,12 @@ def _write(
 
     `how` it was measured, and what command would tell what is left open.
     """
-    from lss_motion.maintenance.identify import summary
+    from lss_motion.maintenance.identify import estimate
     from lss_motion.robot.write import write_response
 
-    for line in summary.summary_lines(found):
+    for line in estimate.summary_lines(found):
         print(line)
-    differences = summary.difference_lines(found, joint)
+    differences = estimate.difference_lines(found, joint)
     print(
         f"{joint.name} differs from the assumptions of the robot file:"
         if differences
@@ -318,15 +318,15 @@ def _write(
     )
     for line in differences:
         print(f"  - {line}")
-    if experiment and (left_open := summary.left_open(found)):
+    if experiment and (left_open := estimate.left_open(found)):
         print(f"  - {', '.join(left_open)}: an experiment tells more: {experiment}")
     if arguments.no_write:
         return
-    values = summary.response_values(found, joint)
+    values = estimate.response_values(found, joint)
     if not values:
         print(f"{joint.name}: nothing is known well enough to be written")
         return
-    comments = summary.comment_lines(found, how + datetime.now(tz=UTC).date().isoformat())
+    comments = estimate.comment_lines(found, how + datetime.now(tz=UTC).date().isoformat())
     output = arguments.output or path
     write_response(path, joint.name, values, comments, output=output)
     print(f"{joint.name}: written to {output}", flush=True)

@@ -178,23 +178,23 @@ def _print_findings(
 
     `frames` are the problems with gyres, origins and ranges, `others` notes about the whole bus.
     """
-    from lss_motion.maintenance import findings
+    from lss_motion.maintenance import survey as report
 
     names = {}
     if robot is not None:
         names = {j.servo_id: j.name for j in robot.joints.values() if j.bus == bus.name}
-    problems = list(findings.unreachable(bus, looks))
-    notes = [*others, *findings.warnings(looks, f"--port {bus.port}")]
+    problems = list(report.unreachable(bus, looks))
+    notes = [*others, *report.warnings(looks, f"--port {bus.port}")]
     if robot is not None:
-        problems += [*findings.differences(robot, bus, looks), *frames]
-        notes += findings.unnamed(robot, bus, looks)
+        problems += [*report.differences(robot, bus, looks), *frames]
+        notes += report.unnamed(robot, bus, looks)
     if not looks:
-        problems = [findings.NO_ANSWER]
+        problems = [report.NO_ANSWER]
     for rate_bps in dict.fromkeys(look.baud_bps for look in looks):
         at_rate = [look for look in looks if look.baud_bps == rate_bps]
         count = "1 id replies" if len(at_rate) == 1 else f"{len(at_rate)} ids reply"
         print(f"{bus.port} at {rate_bps} bps: {count}")
-        print("\n".join(f"  {row}" for row in findings.table(at_rate, names)))
+        print("\n".join(f"  {row}" for row in report.table(at_rate, names)))
     for kind, texts in (("note", notes), ("problem", problems)):
         for text in texts:
             print(f"{kind}: {text}")
@@ -202,7 +202,7 @@ def _print_findings(
 
 
 def _write_starter(path: Path, bus: Bus, looks: Sequence[ServoCondition]) -> None:
-    from lss_motion.maintenance.findings import starter_file
+    from lss_motion.maintenance.survey import starter_file
     from lss_motion.robot.load import load_robot
 
     rates = [look.baud_bps for look in looks]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.single_command import Standing, Verdict
+    from lss_motion.maintenance.single_command import CommandVerdict, Standing
     from lss_motion.playing.connection import Connection
     from lss_motion.protocol.codec import Decoded, Language
     from lss_motion.protocol.framing import Command
@@ -190,7 +190,9 @@ def _standing(connection: Connection, joint: Joint, command: Command) -> Standin
     )
 
 
-def _is_agreed(arguments: argparse.Namespace, verdict: Verdict, *, is_simulated: bool) -> bool:
+def _is_agreed(
+    arguments: argparse.Namespace, verdict: CommandVerdict, *, is_simulated: bool
+) -> bool:
     """Show what a command does; return whether it may be sent. Raises `InputError` if it may not.
 
     A simulated robot is not asked about, but keeps the same limits, so that what works on `sim://`

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
-from lss_motion.maintenance.findings import doubtful_text
 from lss_motion.maintenance.settings import Target
-from lss_motion.maintenance.survey import query_each
+from lss_motion.maintenance.survey import doubtful_text, query_each
 from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import RESET_S, Family
@@ -22,7 +21,7 @@ from lss_motion.protocol.framing import Command
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from lss_motion.maintenance.settings import Change, Values
+    from lss_motion.maintenance.settings import SettingChange, Values
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.discovery import ServoIdentity
 
@@ -138,7 +137,7 @@ def write(
     wanted: Mapping[str, Mapping[str, int | None]],
     *,
     is_session: bool = False,
-) -> list[Change]:
+) -> list[SettingChange]:
     """Write the settings that differ from `wanted` until they read back; return the changes.
 
     A servo with a change that acts after a RESET is restarted, and its settings must read back once
@@ -178,7 +177,7 @@ def differing(
     wanted: Mapping[str, Mapping[str, int | None]],
     *,
     is_session: bool,
-) -> list[Change]:
+) -> list[SettingChange]:
     """Return the settings that differ from `wanted`. A silent servo gets time to restart first."""
     had = read(connection, targets, is_session=is_session)
     silent = [target for target in targets if not had[target.name]]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import LabelTrack
     from lss_motion.interchange.voice import Shortfall, Voiced, VoiceStyle
     from lss_motion.robot.model import Robot
-    from lss_motion.sound.spectra import Channel, Part
+    from lss_motion.sound.files import Channel, SoundPart
 
 CHANNELS_MAX: Final = 1024
 """The most that a sound file can have (libsndfile)."""
@@ -272,12 +272,12 @@ def channel_of(text: str) -> Channel:
     raise argparse.ArgumentTypeError(f"{text!r} is not left, right, mix or a number from 1 on")
 
 
-def _part(arguments: argparse.Namespace) -> Part:
-    from lss_motion.sound.spectra import Part
+def _part(arguments: argparse.Namespace) -> SoundPart:
+    from lss_motion.sound.files import SoundPart
 
     from_s, to_s = arguments.span or (0.0, None)
     path: Path = arguments.file
-    return Part(path=path, channel=arguments.channel or "mix", from_s=from_s, to_s=to_s)
+    return SoundPart(path=path, channel=arguments.channel or "mix", from_s=from_s, to_s=to_s)
 
 
 def _style(arguments: argparse.Namespace) -> VoiceStyle:

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.sound.envelope import Turn
-    from lss_motion.sound.spectra import Part
+    from lss_motion.sound.envelope import TurningPoint
+    from lss_motion.sound.files import SoundPart
 
     FloatArray = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ class Voiced(Struct, frozen=True, kw_only=True):
     asked_deg: FloatArray
 
 
-def voice_sequence(part: Part, robot: Robot, joint_name: str, style: VoiceStyle) -> Voiced:
+def voice_sequence(part: SoundPart, robot: Robot, joint_name: str, style: VoiceStyle) -> Voiced:
     """Return the motion of a joint that follows a part of a sound file.
 
     Raises `InputError` for a file that cannot be used, and angles that the joint does not have.
@@ -146,7 +146,7 @@ def voice_sequence(part: Part, robot: Robot, joint_name: str, style: VoiceStyle)
     return Voiced(sequence=sequence, asked_deg=asked_deg)
 
 
-def voice_comments(voiced: Voiced, part: Part, style: VoiceStyle) -> list[str]:
+def voice_comments(voiced: Voiced, part: SoundPart, style: VoiceStyle) -> list[str]:
     """Return what the file is, and how it becomes a layer, for its head."""
     sequence, closed_deg = voiced.sequence, round(float(voiced.asked_deg[0]), ANGLE_DIGITS)
     where = "" if part.channel == "mix" else f", channel {part.channel}"
@@ -190,7 +190,9 @@ def _angles(joint: Joint, style: VoiceStyle) -> tuple[float, float]:
     return near_deg, far_deg
 
 
-def _turns(part: Part, style: VoiceStyle, joint: Joint, swing_deg: float) -> list[Turn]:
+def _turns(
+    part: SoundPart, style: VoiceStyle, joint: Joint, swing_deg: float
+) -> list[TurningPoint]:
     """Return where the joint turns, from 0 (silent, left) to 1 (loud, right)."""
     if style.follow is Follow.SYLLABLES:
         curve = loudness(part, style.mouth.band_hz)
@@ -205,7 +207,7 @@ def _turns(part: Part, style: VoiceStyle, joint: Joint, swing_deg: float) -> lis
 
 def _swells(
     ratio: FloatArray, step_s: float, joint: Joint, style: VoiceStyle, swing_deg: float
-) -> list[Turn]:
+) -> list[TurningPoint]:
     """Return the turns of a slow curve, within the limit of speed."""
     speed_deg_s = style.speed_max_deg_s or SPEED_SHARE * joint.speed_max_deg_s
     per_s = speed_deg_s / (EASE_PEAK * abs(swing_deg))
@@ -218,7 +220,7 @@ def _swells(
     return swell_keys(values, step_s, SWELL_PROMINENCE)
 
 
-def centred(turns: SequenceOf[Turn]) -> list[Turn]:
+def centred(turns: SequenceOf[TurningPoint]) -> list[TurningPoint]:
     """Return the turns with valleys nearer to the middle between their peaks.
 
     The mouth of a slow servo then has as much time to close as to open. When exactly a mouth is
@@ -233,7 +235,7 @@ def centred(turns: SequenceOf[Turn]) -> list[Turn]:
     return found
 
 
-def fitted(turns: SequenceOf[Turn], asked_deg: FloatArray, joint: Joint) -> FloatArray:
+def fitted(turns: SequenceOf[TurningPoint], asked_deg: FloatArray, joint: Joint) -> FloatArray:
     """Return the angles between which the joint can move in time, closest to those asked.
 
     Closest in the sense of least squares: the projection on the angles whose neighbours are within
@@ -265,7 +267,7 @@ def fitted(turns: SequenceOf[Turn], asked_deg: FloatArray, joint: Joint) -> Floa
     return np.clip(angles_deg, asked_deg.min(), asked_deg.max())
 
 
-def _moving_s(turns: SequenceOf[Turn], given_ratio: float) -> FloatArray:
+def _moving_s(turns: SequenceOf[TurningPoint], given_ratio: float) -> FloatArray:
     """Return the time from each turn to the next, if pauses give that share of theirs."""
     at_s = np.array([turn.at_s for turn in turns])
     hold_s = np.array([turn.hold_s for turn in turns])
@@ -277,7 +279,9 @@ def _moving_s(turns: SequenceOf[Turn], given_ratio: float) -> FloatArray:
     return np.maximum(moving_s, 0.0)
 
 
-def in_time(turns: SequenceOf[Turn], angles_deg: FloatArray, joint: Joint) -> list[Turn]:
+def in_time(
+    turns: SequenceOf[TurningPoint], angles_deg: FloatArray, joint: Joint
+) -> list[TurningPoint]:
     """Return the turns with pauses that begin later and end earlier where the moves need it."""
     apart_deg = np.abs(np.diff(angles_deg))
     needed_s = np.sqrt(apart_deg / (REACH_RATIO * joint.accel_max_deg_s2))
@@ -296,7 +300,7 @@ def in_time(turns: SequenceOf[Turn], angles_deg: FloatArray, joint: Joint) -> li
 
 
 def _keyframes(
-    turns: SequenceOf[Turn], angles_deg: FloatArray, joint: str, from_s: float
+    turns: SequenceOf[TurningPoint], angles_deg: FloatArray, joint: str, from_s: float
 ) -> tuple[Keyframe, ...]:
     """Return the turns as keyframes, in whole milliseconds and hundredths of a degree."""
     frames: list[Keyframe] = []
@@ -308,7 +312,7 @@ def _keyframes(
     return tuple(frames)
 
 
-def _sound(part: Part, style: VoiceStyle) -> tuple[Cue, ...]:
+def _sound(part: SoundPart, style: VoiceStyle) -> tuple[Cue, ...]:
     """Return the sound of the show, if the sequence plays it."""
     if style.follow is not Follow.SYLLABLES or not style.is_sounding:
         return ()

@@ -25,8 +25,8 @@ from lss_motion.maintenance.careful_legs import (
     make_legs,
     measured,
 )
-from lss_motion.maintenance.identify.joint_run import JointRun, State
-from lss_motion.maintenance.identify.trials import Kind, PlannedMove, TrialPlan, Window
+from lss_motion.maintenance.identify.joint_run import ExperimentState, JointRun
+from lss_motion.maintenance.identify.trials import MotionWindow, PlannedMove, TrialKind, TrialPlan
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.estimators import LAG_MAX_S
 from lss_motion.playing.player.handshake import SettingsDialogue
@@ -37,7 +37,7 @@ from lss_motion.protocol.framing import Command
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
-    from lss_motion.maintenance.careful_legs import Leg, Measured
+    from lss_motion.maintenance.careful_legs import CarefulMove, MoveRatios
     from lss_motion.maintenance.identify.joint_run import PolledReading
     from lss_motion.playing.player.handshake import Answers
     from lss_motion.robot.model import Joint, Robot
@@ -96,15 +96,15 @@ class CarefulRun(JointRun):
         self, joint: Joint, robot: Robot, answers: Answers, *, standing_deg: float, way_deg: float
     ) -> None:
         """`answers` are those of a preflight; the joint stands at `standing_deg` (servo)."""
-        window = Window(standing_deg - ROOM_DEG, standing_deg + ROOM_DEG)
+        window = MotionWindow(standing_deg - ROOM_DEG, standing_deg + ROOM_DEG)
         super().__init__(joint, robot, answers, window, standing_deg=standing_deg)
         self.found: Careful | None = None
         self._way_deg = way_deg
         self._identify_command = robot.identify_command(joint.name)
         self._legs = deque(make_legs(joint, robot, standing_deg, way_deg))
         self._count = len(self._legs)
-        self._leg: Leg | None = None
-        self._results: list[Measured] = []
+        self._leg: CarefulMove | None = None
+        self._results: list[MoveRatios] = []
         self._deviations = self._contradictions = 0
         self._may_resend = True
         self._has_witnessed = False
@@ -126,7 +126,7 @@ class CarefulRun(JointRun):
 
     # ---- settings
 
-    def _settings(self, leg: Leg) -> SettingsDialogue:
+    def _settings(self, leg: CarefulMove) -> SettingsDialogue:
         """Return the dialogue that sets what `leg` needs, and asks where the joint stands."""
         joint, table = self.joint, language_table(self.joint.model.language).by_keyword
         known: list[Item] = []
@@ -142,7 +142,7 @@ class CarefulRun(JointRun):
             command = Command(joint.servo_id, keyword, wire)
             known.append(Item(bus=joint.bus, command=command, is_query=False))
         then = handshake.position_queries([joint])
-        if self.state is State.PREPARE and self._witness:
+        if self.state is ExperimentState.PREPARE and self._witness:
             query = Command(joint.servo_id, self._witness)
             then.append(Item(bus=joint.bus, command=query, is_query=True, tries=WITNESS_TRIES))
         probes = handshake.probes([joint], self._answers, known)
@@ -167,7 +167,7 @@ class CarefulRun(JointRun):
             self._brake(now_ns)
             return
         self._poller.watch(self._probes, now_ns)
-        if self.state is State.PREPARE:
+        if self.state is ExperimentState.PREPARE:
             self._hold(dialogue.answers, now_ns)
         else:
             self._start(now_ns)
@@ -189,10 +189,10 @@ class CarefulRun(JointRun):
         if is_used and self._witness == "QP":  # At an end of the range it tells nothing.
             is_used = PULSE_MIN_US < int(value or 0) < PULSE_MAX_US
         self._poller.also = self._witness if is_used else ""
-        self.state = State.HOLD
+        self.state = ExperimentState.HOLD
         self._has_moved = True
         self._line.send(self._hold_bytes(), now_ns)
-        self._begin(TrialPlan(Kind.STEP, (), HOLD_S), now_ns)
+        self._begin(TrialPlan(TrialKind.STEP, (), HOLD_S), now_ns)
 
     def _start(self, now_ns: int) -> None:
         """Begin the next leg."""
@@ -201,13 +201,13 @@ class CarefulRun(JointRun):
         self._may_resend = True
         self._move(self._leg, now_ns)
 
-    def _move(self, leg: Leg, now_ns: int) -> None:
+    def _move(self, leg: CarefulMove, now_ns: int) -> None:
         """Send the command of a leg."""
         self._has_witnessed = False
         self._deviations = self._contradictions = 0
         move = PlannedMove(0.0, leg.target_deg, leg.duration_ms)
         lasts_s = leg.course.duration_s + self.joint.response.lag_s
-        self._begin(TrialPlan(Kind.STEP, (move,), lasts_s), now_ns)
+        self._begin(TrialPlan(TrialKind.STEP, (move,), lasts_s), now_ns)
 
     # ---- readings
 
@@ -221,7 +221,7 @@ class CarefulRun(JointRun):
 
     def _compare_speed(self, speed_deg_s: float, now_ns: int) -> None:
         """Halt the joint if it is much faster than its leg: its angles have another unit."""
-        if self._leg is None or self.state is not State.TRIALS:
+        if self._leg is None or self.state is not ExperimentState.TRIALS:
             return
         expected_deg_s = self._leg.course.peak_deg_s
         self._has_witnessed |= bool(speed_deg_s)
@@ -237,10 +237,10 @@ class CarefulRun(JointRun):
 
     def _watch(self, reading_deg: float, now_ns: int) -> None:
         """Halt the joint after two consecutive readings that are far from its course."""
-        if self.state is State.BRAKE:
+        if self.state is ExperimentState.BRAKE:
             return
         leg, sent = self._leg, self._trial.sent
-        if leg is None or not sent or self.state is not State.TRIALS:
+        if leg is None or not sent or self.state is not ExperimentState.TRIALS:
             cause = self._elsewhere(reading_deg, SAG_DEG)
         else:
             cause = self._off_course(leg, self._trial.times_s[-1] - sent[0].received_s, reading_deg)
@@ -259,7 +259,7 @@ class CarefulRun(JointRun):
         is_still = bool(self._trial.sent) and max(turned_deg) < UNMOVED_DEG
         return is_still and not self._has_witnessed
 
-    def _off_course(self, leg: Leg, since_s: float, reading_deg: float) -> str:
+    def _off_course(self, leg: CarefulMove, since_s: float, reading_deg: float) -> str:
         """Return how a reading deviates from the course of its leg; '' if it does not."""
         turned_deg = leg.sign * (reading_deg - self._rested_deg)
         way_deg = leg.course.way_deg
@@ -292,7 +292,7 @@ class CarefulRun(JointRun):
         at_deg = (pulse_us - PULSE_MID_US) / PULSE_HALF_US * 0.5 * self._range_deg
         self._pulses_deg.append(at_deg)
         readings_deg = self._trial.readings_deg
-        if self.state is not State.TRIALS or not self._trial.sent or not readings_deg:
+        if self.state is not ExperimentState.TRIALS or not self._trial.sent or not readings_deg:
             return
         if self._pulse_deg is None:
             return
@@ -317,9 +317,9 @@ class CarefulRun(JointRun):
     # ---- after a leg
 
     def _trial_over(self, now_ns: int) -> None:
-        if self.error is None and self.state is State.HOLD:
+        if self.error is None and self.state is ExperimentState.HOLD:
             self._rested_deg = self._trial.rest_deg()
-            self.state = State.TRIALS
+            self.state = ExperimentState.TRIALS
             self._start(now_ns)
         elif self.error is None:
             self._judge()

@@ -105,7 +105,7 @@ class Course(Struct, frozen=True):
         return angle_deg / peak + 0.5 * peak / self.accel_deg_s2
 
 
-class Leg(Struct, frozen=True, kw_only=True):
+class CarefulMove(Struct, frozen=True, kw_only=True):
     """One move from rest to rest. Servo degrees."""
 
     tests: str
@@ -152,7 +152,7 @@ def top_deg_s(joint: Joint, robot: Robot) -> float:
     return min(SPEED_RATIO * joint.speed_max_deg_s, robot.approach_speed_deg_s)
 
 
-def make_legs(joint: Joint, robot: Robot, standing_deg: float, way_deg: float) -> list[Leg]:
+def make_legs(joint: Joint, robot: Robot, standing_deg: float, way_deg: float) -> list[CarefulMove]:
     """Return the legs of a joint: out and back three times, by `way_deg` (servo degrees)."""
     top = top_deg_s(joint, robot)
     ramp = ramp_setting_deg_s2(joint)
@@ -188,7 +188,7 @@ def _leg(
     ends_deg: tuple[float, float],
     travel_deg_s: float,
     settings: dict[str, float],
-) -> Leg:
+) -> CarefulMove:
     """Return a leg whose T makes the joint travel at `travel_deg_s`, if nothing else slows it."""
     start_deg, target_deg = ends_deg
     way_deg, ratio = abs(target_deg - start_deg), joint.ramp_ratio
@@ -206,7 +206,7 @@ def _leg(
         accel_deg_s2=ratio * settings["AA"],
         decel_deg_s2=ratio * settings["AD"],
     )
-    return Leg(
+    return CarefulMove(
         tests=tests,
         start_deg=start_deg,
         target_deg=target_deg,
@@ -216,7 +216,7 @@ def _leg(
     )
 
 
-class Measured(Struct, frozen=True):
+class MoveRatios(Struct, frozen=True):
     """What the readings of a leg show: the share of the way, of the speed, and the lag."""
 
     way_ratio: float
@@ -228,7 +228,7 @@ class Measured(Struct, frozen=True):
     """By how much it was later than its profile, half-way."""
 
 
-def measured(leg: Leg, times_s: Sequence[float], turned_deg: Sequence[float]) -> Measured:
+def measured(leg: CarefulMove, times_s: Sequence[float], turned_deg: Sequence[float]) -> MoveRatios:
     """Return what the readings show; `times_s` count from the instant of the command.
 
     `turned_deg` are angles from the rest before the leg, in its direction. A load may keep the horn
@@ -237,7 +237,7 @@ def measured(leg: Leg, times_s: Sequence[float], turned_deg: Sequence[float]) ->
     course, way_deg = leg.course, turned_deg[-1] if turned_deg else 0.0
     way_ratio = way_deg / course.way_deg
     if way_ratio < ARRIVED_RATIO:
-        return Measured(way_ratio, 0.0, 0.0, 0.0)
+        return MoveRatios(way_ratio, 0.0, 0.0, 0.0)
     angles_deg = [share * way_deg for share in (JUDGED[0], 0.5, JUDGED[1])]
     first_s, middle_s, last_s = (_crossing_s(times_s, turned_deg, deg) for deg in angles_deg)
     # What backlash takes, it takes at the start.
@@ -246,7 +246,7 @@ def measured(leg: Leg, times_s: Sequence[float], turned_deg: Sequence[float]) ->
         course.time_s(min(deg + lost_deg, course.way_deg)) for deg in angles_deg
     )
     judged_deg, least_s = angles_deg[2] - angles_deg[0], s_from_ms(1)
-    return Measured(
+    return MoveRatios(
         way_ratio,
         (ends_s - begins_s) / max(last_s - first_s, least_s),
         judged_deg / max(ends_s - begins_s, least_s),
@@ -279,12 +279,12 @@ UNIT_REMEDY: Final = (
 )
 
 
-def lag_scatter_s(leg: Leg) -> float:
+def lag_scatter_s(leg: CarefulMove) -> float:
     """Return how much the scatter of the readings may change the lag of a leg."""
     return SCATTER_DEG / leg.course.peak_deg_s
 
 
-def judgement(joint: Joint, leg: Leg, found: Measured, identify_command: str) -> str:
+def judgement(joint: Joint, leg: CarefulMove, found: MoveRatios, identify_command: str) -> str:
     """Return how the leg deviates from what is expected, and what to do; '' if it does not."""
     if found.way_ratio < ARRIVED_RATIO:
         turned_deg = found.way_ratio * leg.course.way_deg

@@ -2,7 +2,7 @@
 
 A `Guide` says what happens now and what a person has to do (`schema.MaintenanceChanged`), and takes
 the answers. It never waits. `Calibration` works while the robot is in the hands of the client;
-`Identification` begins where the measurement of `maintenance.identify.experiment` has ended.
+`Identification` begins where the measurement of `maintenance.identify.joint_run` has ended.
 Nothing is written before the person agrees.
 """
 
@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError, PlaybackError
 from lss_motion.files.source import known_names
-from lss_motion.maintenance.calibration import MOVED_MIN_DEG, frame_of, stated_frame
+from lss_motion.maintenance.settings import MOVED_MIN_DEG, frame_of, stated_frame
 from lss_motion.playing.remote import schema as m
 from lss_motion.protocol.constants import Family
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from lss_motion.maintenance.calibration import Frame
     from lss_motion.maintenance.identify.estimate import Identified
-    from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.maintenance.identify.joint_run import Experiment
+    from lss_motion.maintenance.settings import Frame
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.playing.remote.operator_end import Operator
@@ -206,7 +206,7 @@ class Identification(Guide):
         self._write(self._write_response)
 
     def _conclude(self, experiment: Experiment) -> None:
-        from lss_motion.maintenance.identify import summary
+        from lss_motion.maintenance.identify import estimate
         from lss_motion.maintenance.identify.estimate import identify
 
         try:
@@ -214,36 +214,22 @@ class Identification(Guide):
         except PlaybackError as error:
             self._set("failed", str(error))
             return
-        differences = summary.difference_lines(found, self.joint)
-        lines = [line.strip() for line in summary.summary_lines(found)]
+        differences = estimate.difference_lines(found, self.joint)
+        lines = [line.strip() for line in estimate.summary_lines(found)]
         lines += differences or ["it matches the assumptions of the robot file"]
-        plots = [
-            m.Plot(
-                title=plot.title,
-                x_name=plot.x_name,
-                y_name=plot.y_name,
-                series=tuple(
-                    m.PlotSeries(name=one.name, x=tuple(one.x), y=tuple(one.y))
-                    for one in plot.series
-                ),
-            )
-            for plot in summary.plots(found, self.joint, experiment.recording)
-        ]
-        self._set(
-            "running",
-            "measured",
-            result=m.MaintenanceResult(lines=tuple(lines), plots=tuple(plots)),
-        )
+        plots = estimate.plots(found, self.joint, experiment.recording)
+        result = m.MaintenanceResult(lines=tuple(lines), plots=plots)
+        self._set("running", "measured", result=result)
         self._ask("Write it as the response of the joint?", WRITE, DISCARD)
 
     def _write_response(self, path: Path) -> None:
-        from lss_motion.maintenance.identify import summary
+        from lss_motion.maintenance.identify import estimate
         from lss_motion.robot.write import write_response
 
         assert self._found is not None
         today = datetime.now(tz=UTC).date().isoformat()
-        values = summary.response_values(self._found, self.joint)
-        write_response(path, self.joint.name, values, summary.comment_lines(self._found, today))
+        values = estimate.response_values(self._found, self.joint)
+        write_response(path, self.joint.name, values, estimate.comment_lines(self._found, today))
 
 
 class ServoTasks(Struct, frozen=True):
@@ -328,7 +314,7 @@ def measured(
 
     None: the joint cannot be measured, and the client was told why. The joint holds afterwards.
     """
-    from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.maintenance.identify.joint_run import Experiment
     from lss_motion.maintenance.identify.trials import SPAN_DEG, make_window
     from lss_motion.playing.player import handshake
     from lss_motion.playing.runner import run

@@ -1,27 +1,39 @@
-"""The settings of servos: queries, differences from the wanted values, commands to write.
+"""The settings of servos: queries, differences from the wanted values, commands to write, backups.
 
 Values are wire values by the name of their row; None is a first position that is switched off.
+A backup file holds them all, so that they can be written back unchanged however a unit is
+interpreted; comments give the meaning of each value. `frame_of` and `moved_origin` are zero and
+direction of a joint, computed from positions to which a person moved it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
-from msgspec import Struct
+from msgspec import Struct, field
 
+from lss_motion.errors import InputError
+from lss_motion.files.keys import Field, FileModel, Name, Text
+from lss_motion.files.source import known_names
+from lss_motion.files.validation import validate
+from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.playing.discovery import family_of
+from lss_motion.playing.player.checks import expected_frame
 from lss_motion.playing.player.transactions import Item
-from lss_motion.protocol.codec import Language, storable
-from lss_motion.protocol.constants import Family, Led
+from lss_motion.playing.stored_limits import SETTINGS, physical_limits, with_limits
+from lss_motion.protocol.codec import Language, language_table, storable
+from lss_motion.protocol.constants import ID_MAX, Family, Led
 from lss_motion.protocol.framing import DISABLED, Command
 from lss_motion.protocol.lss_pro import UNITS, Units
 from lss_motion.protocol.table import Device, ReplyShape, Suffix
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from lss_motion.playing.player.handshake import Answers
     from lss_motion.protocol.table import Row
-
+    from lss_motion.robot.model import Joint, Robot
 
 Values = dict[str, int | None]
 
@@ -73,7 +85,7 @@ class Target(Struct, frozen=True, kw_only=True):
         }
 
 
-class Change(Struct, frozen=True, kw_only=True):
+class SettingChange(Struct, frozen=True, kw_only=True):
     """A setting that differs from the wanted value."""
 
     target: Target
@@ -109,7 +121,7 @@ def values(target: Target, rows: Mapping[str, Row], answers: Answers) -> Values:
     return found
 
 
-def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> list[Change]:
+def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> list[SettingChange]:
     """Return what must be written, in the order of writing.
 
     A setting that cannot be read back, such as RC mode, is always written. Of the two first
@@ -117,14 +129,14 @@ def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> li
     """
     rows = storable(target.language)
     needed = [
-        Change(target=target, row=rows[name], had=had.get(name), wanted=wanted[name])
+        SettingChange(target=target, row=rows[name], had=had.get(name), wanted=wanted[name])
         for name in rows
         if name in wanted and (name not in had or had[name] != wanted[name])
     ]
     return sorted(needed, key=lambda change: change.wanted is not None and change.row.name in FIRST)
 
 
-def orders(needed: Iterable[Change], *, is_session: bool) -> list[Item]:
+def orders(needed: Iterable[SettingChange], *, is_session: bool) -> list[Item]:
     """Return the commands that write changes."""
     items = []
     for change in needed:
@@ -134,12 +146,12 @@ def orders(needed: Iterable[Change], *, is_session: bool) -> list[Item]:
     return items
 
 
-def goes_limp(change: Change, *, is_session: bool) -> bool:
+def goes_limp(change: SettingChange, *, is_session: bool) -> bool:
     """Return whether a servo goes limp while a change is written: for a RESET, or for safety."""
     return change.row.name in FRAME or (change.row.needs_reset and not is_session)
 
 
-def limp_orders(needed: Iterable[Change]) -> list[Item]:
+def limp_orders(needed: Iterable[SettingChange]) -> list[Item]:
     """Return the commands that release the servos whose angles change their meaning.
 
     A servo that holds a position might turn to that position in the new frame (FACTS.md R11).
@@ -150,7 +162,7 @@ def limp_orders(needed: Iterable[Change]) -> list[Item]:
     ]
 
 
-def dangers(needed: Sequence[Change], baud_bps: int) -> list[str]:
+def dangers(needed: Sequence[SettingChange], baud_bps: int) -> list[str]:
     """Return the reasons why changes would make a servo unreachable at `baud_bps`."""
     found = []
     for change in needed:
@@ -175,3 +187,177 @@ def value_text(row: Row, wire: int | None) -> str:
     text = f"{row.physical(wire):.12g}{unit}"
     is_colour = row.name == "LED" and wire in {int(led) for led in Led}
     return f"{text} ({Led(wire).name.lower()})" if is_colour else text
+
+
+MOVED_MIN_DEG: Final = 5.0
+"""The smallest push that shows a direction. Chosen: far above backlash and noise, easy to do."""
+
+ZERO_DECIMALS: Final = 1
+"""Servos report tenths of a degree."""
+
+
+class Frame(Struct, frozen=True, kw_only=True):
+    """The relation of joint and servo angles: `servo_deg = zero_deg + direction * joint_deg`."""
+
+    zero_deg: float
+    direction: Literal[1, -1]
+
+
+def frame_of(
+    joint: Joint, *, servo_deg: float, pose_deg: float, pushed_deg: float | None
+) -> Frame | None:
+    """Return the frame of a joint that stands at `pose_deg` while its servo reports `servo_deg`.
+
+    `pushed_deg` is the servo angle after a push towards larger joint angles, or None to keep the
+    direction of the robot file. Returns None if the push was too small.
+    """
+    direction: Literal[1, -1] = joint.direction
+    if pushed_deg is not None:
+        if abs(pushed_deg - servo_deg) < MOVED_MIN_DEG:
+            return None
+        direction = 1 if pushed_deg > servo_deg else -1
+    zero_deg = round(servo_deg - direction * pose_deg, ZERO_DECIMALS) + 0.0
+    return Frame(zero_deg=zero_deg, direction=direction)
+
+
+def stated_frame(joint: Joint, wires: Mapping[str, int]) -> dict[str, float]:
+    """Return which settings `stored:` must state so that the file has those of the servo.
+
+    `wires` are gyre (G) and origin (O) of the servo, in wire units.
+    """
+    rows, expected = storable(joint.model.language), expected_frame(joint)
+    return {
+        name: rows[name].physical(wire)
+        for name, wire in wires.items()
+        if name in expected and expected[name] != wire
+    }
+
+
+def moved_origin(joint: Joint, *, origin_wire: int, gyre: int, zero_deg: float) -> int:
+    """Return the origin offset (wire unit) that makes the servo report 0 at its present `zero_deg`.
+
+    A servo reports `gyre * (raw - origin)`; the offset is kept within half a turn.
+    """
+    row = language_table(joint.model.language).row("O")
+    turn, moved = row.wire(360.0), origin_wire + gyre * row.wire(zero_deg)
+    return (moved + turn // 2) % turn - turn // 2
+
+
+OFF: Final = "off"
+"""The value in the file of a first position that is switched off."""
+
+_HEAD: Final = """\
+# What {count} servos stored; written by `lss-motion configure --backup`. To write it back:
+# `lss-motion configure --restore THIS_FILE`. The values are those of the wire.
+backup: 1
+servos:
+"""
+
+
+class ServoEntry(FileModel, title="servo"):
+    """The stored settings of one servo, and what identifies it."""
+
+    bus: Name = Field(description="Name of the bus in the robot file.")
+    id: int = Field(ge=0, le=ID_MAX, description="Id of the servo.")
+    model: Text = Field(description="The answer to QMS.")
+    serial_number: Text | Literal[""] = Field(default="", description="The answer to QN.")
+    settings: dict[Text, int | Literal["off"]] = Field(
+        description="Wire values by keyword; off: no first position."
+    )
+
+
+class BackupFile(FileModel, title="backup file"):
+    """The settings of some servos."""
+
+    backup: Literal[1] = Field(description="Form of the file.")
+    servos: list[ServoEntry] = Field(min_length=1)
+
+
+class ServoBackup(Struct, frozen=True, kw_only=True):
+    """The settings of one servo, and what identifies it."""
+
+    bus: str
+    servo_id: int
+    model: str
+    serial_number: str = ""
+    settings: Values = field(default_factory=dict)
+
+
+def backup_text(servos: Iterable[ServoBackup]) -> str:
+    """Return the text of a backup file."""
+    servos = list(servos)
+    text = _HEAD.format(count=len(servos))
+    for servo in servos:
+        text += f"  - bus: {_quoted(servo.bus)}\n    id: {servo.servo_id}\n"
+        text += f"    model: {_quoted(servo.model)}\n"
+        text += f"    serial_number: {_quoted(servo.serial_number)}\n    settings:\n"
+        rows = storable(family_of(servo.model))
+        for name, wire in servo.settings.items():
+            row = rows[name]
+            shown = f"{name}: {_quoted(OFF) if wire is None else wire}"
+            text += f"      {shown:16}# {row.meaning}: {value_text(row, wire)}\n"
+    return text
+
+
+def read_backup(path: Path) -> list[ServoBackup]:
+    """Return the servos of a backup file. Raises `InputError` with file and line."""
+    source = read_yaml(path)
+    content, problems, _ = validate(BackupFile, source)
+    servos = [] if content is None else content.servos
+    for index, servo in enumerate(servos):
+        rows = storable(family_of(servo.model))
+        problems += [
+            Problem(
+                ("servos", index, "settings", name),
+                f"unknown setting {name!r}; {known_names(name, rows)}",
+            )
+            for name in servo.settings
+            if name not in rows
+        ]
+    if problems or content is None:
+        raise source.error(problems)
+    return [
+        ServoBackup(
+            bus=servo.bus,
+            servo_id=servo.id,
+            model=servo.model,
+            serial_number=servo.serial_number,
+            settings={
+                name: value if isinstance(value, int) else None
+                for name, value in servo.settings.items()
+            },
+        )
+        for servo in servos
+    ]
+
+
+def with_backup(robot: Robot, backup: Path | None) -> Robot:
+    """Return the robot with the limits that its file leaves to the servos, from this backup."""
+    if backup is None or not robot.unread:
+        return robot
+    return robot_from_backup(robot, read_backup(backup), backup)
+
+
+def robot_from_backup(robot: Robot, kept: Iterable[ServoBackup], path: Path) -> Robot:
+    """Return the robot with the limits that its servos stored when the backup was made.
+
+    Raises `InputError` for a servo that the backup does not hold, and for a limit of 0.
+    """
+    stored = {(servo.bus, servo.servo_id): servo.settings for servo in kept}
+
+    def wire(joint: Joint, name: str) -> int | None:
+        return stored.get((joint.bus, joint.servo_id), {}).get(name)
+
+    known = with_limits(robot, physical_limits(robot, wire))
+    for joint in known.unread:
+        raise InputError(
+            f"holds no {' and '.join(n for key in sorted(joint.unread) for n in SETTINGS[key])} of "
+            f"servo {joint.servo_id} on bus {joint.bus!r} (joint {joint.name!r}); make a new "
+            f"backup",
+            path=path,
+        )
+    return known
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"'

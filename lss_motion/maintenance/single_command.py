@@ -36,7 +36,7 @@ class Consent(Enum):
     """`--force` as well: it leaves the limits of the robot file, or changes every servo."""
 
 
-class Verdict(Struct, frozen=True, kw_only=True):
+class CommandVerdict(Struct, frozen=True, kw_only=True):
     """The command as it would be sent, what it does, and what it needs.
 
     `notes` are sentences for people: what was changed, and why a question is asked.
@@ -75,32 +75,34 @@ def judge(
     language: Family | Language,
     joint: Joint | None = None,
     standing: Standing | None = None,
-) -> Verdict:
+) -> CommandVerdict:
     """Return what `command` does and needs; `joint` is the one of the robot file with that id."""
     meant = None if _repeats(command) else read_command(language, command)
     text = _text(command, meant)
     if meant is not None and meant.form is Form.QUERY:
-        return Verdict(command=command, text=text, consent=Consent.NONE)
+        return CommandVerdict(command=command, text=text, consent=Consent.NONE)
     keyword = command.keyword
     if meant is not None and keyword in HARMLESS:
-        return Verdict(command=command, text=text, consent=Consent.NONE)
+        return CommandVerdict(command=command, text=text, consent=Consent.NONE)
     if command.servo_id == BROADCAST_ID:
         note = "every servo on the bus would obey at once"
-        return Verdict(command=command, text=text, consent=Consent.FORCE, notes=(note,))
+        return CommandVerdict(command=command, text=text, consent=Consent.FORCE, notes=(note,))
     if meant is None:
         consent = Consent.QUESTION if joint is None else Consent.FORCE
         family = language_table(language).family
         note = f"no document of {family} describes this command, so its effect is not known"
-        return Verdict(command=command, text=text, consent=consent, notes=(note,))
+        return CommandVerdict(command=command, text=text, consent=consent, notes=(note,))
     if keyword in TO_ANGLE | TO_PULSE | ENDLESS:
         if joint is None:
             note = "no robot file gives the range and the speed of this servo"
-            return Verdict(command=command, text=text, consent=Consent.QUESTION, notes=(note,))
+            return CommandVerdict(
+                command=command, text=text, consent=Consent.QUESTION, notes=(note,)
+            )
         return _move(command, joint, standing or Standing())
     notes = [_lasts(meant, keyword)]
     if keyword == "RESET" and language_table(language).family is Family.LSS_PRO:
         notes.append("its port is gone for up to 10 s if the USB cable is at this servo")
-    return Verdict(command=command, text=text, consent=Consent.QUESTION, notes=tuple(notes))
+    return CommandVerdict(command=command, text=text, consent=Consent.QUESTION, notes=tuple(notes))
 
 
 def _repeats(command: Command) -> bool:
@@ -119,7 +121,7 @@ def _lasts(meant: Decoded, keyword: str) -> str:
     return "the servo may be another one afterwards"
 
 
-def _move(command: Command, joint: Joint, standing: Standing) -> Verdict:
+def _move(command: Command, joint: Joint, standing: Standing) -> CommandVerdict:
     """Return the verdict on a move of a joint of the robot file."""
     text = _text(command, read_command(joint.model.language, command))
     if command.keyword in TO_PULSE | ENDLESS:
@@ -129,11 +131,11 @@ def _move(command: Command, joint: Joint, standing: Standing) -> Verdict:
             else f"the target of {command.keyword} cannot be compared with the range of joint "
             f"{joint.name!r}; use D"
         )
-        return Verdict(command=command, text=text, consent=Consent.FORCE, notes=(reason,))
+        return CommandVerdict(command=command, text=text, consent=Consent.FORCE, notes=(reason,))
     target_deg = _target_deg(command, joint, standing)
     if target_deg is None:
         note = f"joint {joint.name!r} does not report where it stands"
-        return Verdict(command=command, text=text, consent=Consent.QUESTION, notes=(note,))
+        return CommandVerdict(command=command, text=text, consent=Consent.QUESTION, notes=(note,))
     slack_deg = ROUNDED_UNITS * joint.unit_deg
     at_deg = joint.joint_deg(target_deg)
     if not joint.position_min_deg - slack_deg <= at_deg <= joint.position_max_deg + slack_deg:
@@ -141,14 +143,14 @@ def _move(command: Command, joint: Joint, standing: Standing) -> Verdict:
             f"joint {joint.name!r} would go to {at_deg:g} deg, its range is "
             f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg"
         )
-        return Verdict(command=command, text=text, consent=Consent.FORCE, notes=(reason,))
+        return CommandVerdict(command=command, text=text, consent=Consent.FORCE, notes=(reason,))
     is_limited = joint.model.family is not Family.IO2 and standing.has_profile and not joint.unread
     if not is_limited or standing.servo_deg is None:
         note = (
             f"the speed of joint {joint.name!r} cannot be limited: it moves as fast as its "
             f"servo can"
         )
-        return Verdict(command=command, text=text, consent=Consent.QUESTION, notes=(note,))
+        return CommandVerdict(command=command, text=text, consent=Consent.QUESTION, notes=(note,))
     return _within_speed(command, joint, abs(target_deg - standing.servo_deg))
 
 
@@ -161,7 +163,7 @@ def _target_deg(command: Command, joint: Joint, standing: Standing) -> float | N
     return None if standing.servo_deg is None else standing.servo_deg + given_deg
 
 
-def _within_speed(command: Command, joint: Joint, way_deg: float) -> Verdict:
+def _within_speed(command: Command, joint: Joint, way_deg: float) -> CommandVerdict:
     """Return the move with T and SD such that the servo keeps the speed of its joint."""
     limit_deg_s = joint.speed_max_deg_s
     least_s = way_deg / limit_deg_s
@@ -184,7 +186,7 @@ def _within_speed(command: Command, joint: Joint, way_deg: float) -> Verdict:
             f"as {encode(changed)[:-1].decode('ascii')}",
         )
     text = _text(changed, read_command(joint.model.language, changed))
-    return Verdict(command=changed, text=text, consent=Consent.NONE, notes=notes)
+    return CommandVerdict(command=changed, text=text, consent=Consent.NONE, notes=notes)
 
 
 def _text(command: Command, meant: Decoded | None) -> str:

@@ -253,7 +253,7 @@ class Connection:
         if sim_bus is None:
             self.ports[bus_name] = SerialPort(bus.port, bus.baud_bps)
         else:
-            from lss_motion.sim.port import SimPort
+            from lss_motion.sim.bus import SimPort
 
             self.ports[bus_name] = SimPort(sim_bus, self.clock)
         return self.ports[bus_name]
@@ -272,8 +272,7 @@ class Connection:
         """Open a simulated bus with the servos of `robot`."""
         if robot is None:
             raise InputError("sim:// simulates the servos of a robot file; give one")
-        from lss_motion.sim.bus import bus_from_robot
-        from lss_motion.sim.port import SimPort
+        from lss_motion.sim.bus import SimPort, bus_from_robot
 
         options: dict[str, Any] = {}
         if deviation is not None:

@@ -2,8 +2,7 @@
 
 | file | what it is | called by |
 |---|---|---|
-| `bus` | `SimBus`: bytes in, bytes out, at instants that the caller gives | `port`, `pty` |
-| `port` | `sim://`: a bus as a port of the runner | `connection` |
+| `bus` | `SimBus`: bytes in, bytes out, at given instants; `sim://` | `connection`, `pty` |
 | `pty` | buses behind pseudo-terminals, in real time | `lss-motion sim`, tests, benches |
 | `wire` | the two serial lines byte by byte, the USB adapter, the order of replies | `bus` |
 | `servo` | the firmware of one servo: commands, moves, RC mode, LED | `bus` |
@@ -11,7 +10,6 @@
 | `boards` | LSS-2IO boards with their pins | `bus` |
 | `motors` | all motors of a bus: orders, current, temperature, safe mode | `bus`, `servo` |
 | `horns` | how horns follow their profiles, with load and play | `motors` |
-| `blocks` | many control loops at once, where nothing holds a horn back | `horns`, `motors` |
 | `profile` | the trajectory that a servo generates for one move | `horns`, `servo` |
 | `physics` | every physical number, with its source | all |
 | `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |

@@ -21,7 +21,7 @@ from lss_motion.protocol.io2 import (
     SECTION_MAX_CHARS,
 )
 from lss_motion.protocol.table import Device, Form, Suffix
-from lss_motion.sim.profile import Chase, Limp
+from lss_motion.sim.profile import FilterMove, PowerOff
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ _SECTION: Final = re.compile(rb"#([0-9]+)([A-Za-z]+)(-?[0-9]+)?")
 """The part of a section that the board reads; it ignores what follows (FACTS.md B5)."""
 
 
-class Sensor(NamedTuple):
+class RangeSensor(NamedTuple):
     """A distance sensor as the board computes it: `scale / (raw - offset)`, clamped, in mm."""
 
     scale: int
@@ -93,11 +93,11 @@ class Sensor(NamedTuple):
         return min(round(self.scale / distance_mm) + self.offset, RAW_MAX)
 
 
-SENSORS: Final[Mapping[Suffix, Sensor]] = MappingProxyType(
+SENSORS: Final[Mapping[Suffix, RangeSensor]] = MappingProxyType(
     {
-        Suffix.GP2Y0A41SK0F: Sensor(20760, 11, 30, 310),
-        Suffix.GP2Y0A21YK0F: Sensor(48000, 20, 90, 810),
-        Suffix.GP2Y0A02YK0F: Sensor(94620, 17, 190, 1510),
+        Suffix.GP2Y0A41SK0F: RangeSensor(20760, 11, 30, 310),
+        Suffix.GP2Y0A21YK0F: RangeSensor(48000, 20, 90, 810),
+        Suffix.GP2Y0A02YK0F: RangeSensor(94620, 17, 190, 1510),
     }
 )
 """From the published sketch (FACTS.md B15)."""
@@ -366,12 +366,12 @@ class Board:
         if pin.index is not None:
             low_us, high_us = pin.rc_pulse_us
             raw_deg = (pulse_us - OUTPUT_MID_US) * DEG_MAX / (high_us - low_us)
-            chase = Chase(raw_deg, filter_count=1, is_repeated=False)
+            chase = FilterMove(raw_deg, filter_count=1, is_repeated=False)
             self._motors.order(pin.index, now_ns, chase)
 
     def _release(self, pin: Pin, now_ns: int) -> None:
         if pin.index is not None:
-            self._motors.order(pin.index, now_ns, Limp())
+            self._motors.order(pin.index, now_ns, PowerOff())
 
     def _overrun(self, now_ns: int) -> None:
         if self.random.random() < OVERRUN_JUMP_RATIO:

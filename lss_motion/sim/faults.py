@@ -229,7 +229,7 @@ class Fault(Struct, frozen=True, kw_only=True):
         return origin_ns + ns_from_s(self.at_s), until_ns
 
 
-class Turn(Struct, frozen=True):
+class FaultEdge(Struct, frozen=True):
     """An instant at which a fault of a servo begins or ends."""
 
     due_ns: int
@@ -252,7 +252,7 @@ class Faults:
         self.wrong_ids = self._of(FaultKind.WRONG_ID)
         self._random = random
         self._origin_ns = 0
-        self.turns: list[Turn] = []
+        self.turns: list[FaultEdge] = []
         """When a fault of a servo still begins or ends, the next one last."""
         self._unfinished = b""
 
@@ -262,9 +262,9 @@ class Faults:
         for fault in self._faults:
             if fault.kind in ABOUT_DEVICES:
                 from_ns, until_ns = fault.span_ns(now_ns)
-                self.turns.append(Turn(from_ns, fault, is_begin=True))
+                self.turns.append(FaultEdge(from_ns, fault, is_begin=True))
                 if fault.kind not in INSTANT and until_ns < FOREVER_NS:
-                    self.turns.append(Turn(until_ns, fault, is_begin=False))
+                    self.turns.append(FaultEdge(until_ns, fault, is_begin=False))
         self.turns.sort(key=lambda turn: turn.due_ns, reverse=True)
 
     def spans_ns(self, kind: FaultKind) -> list[tuple[int, int]]:

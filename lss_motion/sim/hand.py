@@ -34,7 +34,7 @@ HAND_DEG_S: Final = 600.0
 """As fast as a hand turns a horn that was elsewhere when it was let go. Assumed."""
 
 
-class Led(Struct, frozen=True, eq=False):
+class HandGuide(Struct, frozen=True, eq=False):
     """Servo angles at increasing times, in seconds from power-up, where a hand leads one horn."""
 
     times_s: FloatArray
@@ -68,12 +68,12 @@ class Hand(Struct, frozen=True, eq=False):
     times_s: FloatArray
     angles_deg: Mapping[str, FloatArray]
 
-    def led(self, joint: Joint) -> Led | None:
+    def led(self, joint: Joint) -> HandGuide | None:
         """Return how the hand leads one servo, if it does."""
         column = self.angles_deg.get(joint.name)
         if column is None:
             return None
-        return Led(self.times_s, joint.zero_deg + joint.direction * column)
+        return HandGuide(self.times_s, joint.zero_deg + joint.direction * column)
 
 
 def hand_of(text: str, robot: Robot) -> Hand:

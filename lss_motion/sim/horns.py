@@ -3,6 +3,10 @@
 `Horns` computes how horns follow their profiles: a first-order lag, exact within a phase. `Drives`
 gives each horn its phases: limp, a profile (EM1, wheel, hold) or the filter (EM0). Angles are raw.
 `HornHistory` records the horns for tests; no servo can read it.
+
+A horn that no load, jam or top speed holds back moves as its phases say, whatever the control loops
+do: they only measure. So the loops are owed, until one of their results is asked for. `Block` notes
+the phases meanwhile, and then computes all loops of the bus in a few numpy steps.
 """
 
 from __future__ import annotations
@@ -10,20 +14,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import Enum
-from typing import TYPE_CHECKING, assert_never
+from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
 import numpy as np
 
-from lss_motion.sim.blocks import Block
 from lss_motion.sim.physics import FILTER_TICKS, TICK_NS
 from lss_motion.sim.profile import (
-    Chase,
+    FilterMove,
     Halt,
-    Limp,
     Motion,
     Order,
-    Phase,
+    PowerOff,
     ProfileMove,
+    ProfilePhase,
     Ramps,
     Wheel,
     plan_move,
@@ -38,9 +41,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.sim.blocks import Parabola
     from lss_motion.sim.physics import Physics, ServoSpec
 
+    FloatArray = NDArray[np.float64]
 
 FOREVER_NS = 2**63 - 1
 
@@ -95,7 +98,7 @@ class Horns:
         self._ns = [now_ns] * len(self._ns)
         self._began_ns = [now_ns] * len(self._ns)
 
-    def begin(self, index: int, now_ns: int, phase: Phase) -> None:
+    def begin(self, index: int, now_ns: int, phase: ProfilePhase) -> None:
         """Begin a phase at `now_ns`, to which the horn has been brought."""
         self.phases[index] = phase
         duration_s = phase.duration_s
@@ -232,7 +235,7 @@ class Horns:
     def lead(self, index: int, now_ns: int, deg_s: float) -> None:
         """Let a horn without power turn at `deg_s` from now on."""
         ahead_deg = self._lags_s[index] * deg_s
-        self.begin(index, now_ns, Phase(math.inf, self.deg[index] + ahead_deg, deg_s, 0.0))
+        self.begin(index, now_ns, ProfilePhase(math.inf, self.deg[index] + ahead_deg, deg_s, 0.0))
 
     def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
         self._lags_s[index] = lag_s
@@ -286,8 +289,8 @@ class Drives:
         self._physics = physics
         self._first_loop_ns = list(loop_phases_ns)
         self._target_deg: list[float | None] = [None] * count
-        self._phases: list[deque[Phase]] = [deque() for _ in range(count)]
-        self._filters: list[Chase | None] = [None] * count
+        self._phases: list[deque[ProfilePhase]] = [deque() for _ in range(count)]
+        self._filters: list[FilterMove | None] = [None] * count
 
     def start(self, now_ns: int) -> None:
         self._first_loop_ns = [now_ns + phase_ns for phase_ns in self._first_loop_ns]
@@ -309,16 +312,16 @@ class Drives:
                 phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
                 self.travel_deg_s[index] = ramps.speed_deg_s
                 self._follow(index, now_ns, order.target_deg, phases)
-            case Limp():
+            case PowerOff():
                 self.go_limp(index, now_ns)
             case Halt():
                 self.hold(index, now_ns, position_deg)
-            case Chase():
+            case FilterMove():
                 self._chase(index, now_ns, position_deg, order)
             case Wheel(wheel_deg_s, wheel_ramps, is_free):
                 self.travel_deg_s[index] = abs(wheel_deg_s)
                 if wheel_ramps is None:
-                    phases = [Phase(math.inf, position_deg, wheel_deg_s, 0.0)]
+                    phases = [ProfilePhase(math.inf, position_deg, wheel_deg_s, 0.0)]
                 else:
                     phases = plan_wheel(position_deg, speed_deg_s, wheel_deg_s, wheel_ramps)
                 self._follow(index, now_ns, None, phases)
@@ -328,7 +331,7 @@ class Drives:
                 assert_never(order)
 
     def _follow(
-        self, index: int, now_ns: int, target_deg: float | None, phases: list[Phase]
+        self, index: int, now_ns: int, target_deg: float | None, phases: list[ProfilePhase]
     ) -> None:
         self._filters[index] = None
         self._target_deg[index] = target_deg
@@ -340,7 +343,7 @@ class Drives:
         """Hold a position from now on."""
         self._follow(index, now_ns, position_deg, [rest_at(position_deg)])
 
-    def _chase(self, index: int, now_ns: int, position_deg: float, chase: Chase) -> None:
+    def _chase(self, index: int, now_ns: int, position_deg: float, chase: FilterMove) -> None:
         self._filters[index] = chase
         self.mode[index] = Mode.FILTER
         self.is_powered[index] = True
@@ -349,7 +352,7 @@ class Drives:
         else:
             since_ns = now_ns - self._first_loop_ns[index]
             wait_s = s_from_ns(FILTER_NS - since_ns % FILTER_NS)
-            self._start(index, now_ns, [Phase(wait_s, position_deg, 0.0, 0.0)])
+            self._start(index, now_ns, [ProfilePhase(wait_s, position_deg, 0.0, 0.0)])
 
     def go_limp(self, index: int, now_ns: int) -> None:
         """Take the power off, where the horn is."""
@@ -360,7 +363,7 @@ class Drives:
         self._horns.release(index)
         self._start(index, now_ns, [rest_at(self._horns.deg[index])])
 
-    def _start(self, index: int, now_ns: int, phases: list[Phase]) -> None:
+    def _start(self, index: int, now_ns: int, phases: list[ProfilePhase]) -> None:
         first, *others = phases
         self._phases[index] = deque(others)
         self._horns.begin(index, now_ns, first)
@@ -374,7 +377,7 @@ class Drives:
         assert chase is not None, "only the filter makes its phases as it goes"
         position_deg = _filtered(self._horns.phases[index].position_deg, chase)
         wait_s = math.inf if position_deg == chase.target_deg else s_from_ns(FILTER_NS)
-        self._horns.begin(index, now_ns, Phase(wait_s, position_deg, 0.0, 0.0))
+        self._horns.begin(index, now_ns, ProfilePhase(wait_s, position_deg, 0.0, 0.0))
 
     def motion(self, index: int, now_ns: int) -> Motion:
         """Return the state of a servo from its profile."""
@@ -421,7 +424,7 @@ def _obeyed_s(duration_s: float, physics: Physics) -> float | None:
     return duration_s
 
 
-def _filtered(position_deg: float, chase: Chase) -> float:
+def _filtered(position_deg: float, chase: FilterMove) -> float:
     """Return one step of the EM0 filter: `x = (x*(FPC-1)+target)/FPC` (FACTS.md M6)."""
     count = max(chase.filter_count, 1)
     stepped_deg = (position_deg * (count - 1) + chase.target_deg) / count
@@ -478,3 +481,109 @@ class HornHistory:
         known_deg = self._angles_deg[rows]
         columns = [np.interp(asked_s, known_s, column) for column in known_deg.T]
         return np.stack(columns, axis=1)
+
+
+BLOCK_NS: Final = 64 * TICK_NS
+"""The loops of so long a time are owed at most. Chosen: a current or a temperature is asked for
+more often, and a block stays small."""
+
+Parabola = tuple[float, float, float]
+"""Where a horn would end up: a parabola of the seconds since its phase began, in degrees."""
+
+
+class Loops(NamedTuple):
+    """What was measured in control loops, a row each: at the loop, or (`deg_s`) over it."""
+
+    ns: NDArray[np.int64]
+    deg: FloatArray
+    deg_s: FloatArray
+    gap_deg: FloatArray
+
+    def first(self, count: int) -> Loops:
+        return Loops(self.ns[:count], self.deg[:count], self.deg_s[:count], self.gap_deg[:count])
+
+
+class Block:
+    """What the horns do from the loop at `ns` on; its arguments are their states there.
+
+    `deg`, `gap_deg` and `deg_s` are those at the loop at `ns`, the last one that is not owed.
+    """
+
+    def __init__(
+        self,
+        ns: int,
+        *,
+        lags_s: Sequence[float],
+        began_ns: Sequence[int],
+        finals: Sequence[Parabola],
+        deg: Sequence[float],
+        gap_deg: Sequence[float],
+        deg_s: Sequence[float],
+        tops_deg_s: Sequence[float],
+    ) -> None:
+        self.ns = ns
+        self.deg, self.gap_deg, self.deg_s = np.array(deg), np.array(gap_deg), np.array(deg_s)
+        self.tops_deg_s = tops_deg_s
+        """Speeds that every motor reaches, whatever the others do."""
+        self.last_phase_ns = ns
+        """When the last phase began."""
+        self.is_held = False
+        """Whether a motor may hold its horn back from `last_phase_ns` on: the block must end."""
+        self._lags_s = np.array(lags_s)
+        self._since_ns = np.array([began_ns, [ns] * len(deg)]).T
+        """When the phase of each horn began, and when its gap was as large as noted."""
+        self._motion = np.column_stack([finals, gap_deg])
+        self.phases: list[tuple[int, int, tuple[float, float, float, float]]] = []
+        """Phases that have begun: when, of which horn, its final parabola and its gap."""
+        self.looks: list[tuple[int, int, float]] = []
+        """When which horn was brought to which angle: the speed of its loop counts from there. NaN:
+        its phase has ended; then the loop measures only how its gap fades."""
+
+    def loops(self, now_ns: int) -> Loops | None:
+        """Return the loops that are owed up to `now_ns`; None: there are none."""
+        count = (now_ns - self.ns) // TICK_NS
+        if count <= 0:
+            return None
+        ns = self.ns + TICK_NS * np.arange(1, count + 1)
+        loop_ns = ns[:, None]
+        since_ns = np.repeat(self._since_ns[None], count, axis=0)
+        motion = np.repeat(self._motion[None], count, axis=0)
+        until_ns = int(ns[-1])
+        for at_ns, index, values in self.phases:
+            if at_ns <= until_ns:
+                row = max(-((self.ns - at_ns) // TICK_NS) - 1, 0)
+                since_ns[row:, index] = at_ns
+                motion[row:, index] = values
+        at_deg, by_deg_s, by_deg_s2, gap_deg = np.moveaxis(motion, 2, 0)
+        phase_s = (loop_ns - since_ns[:, :, 0]) / NS_PER_S
+        gap_deg = gap_deg * np.exp((since_ns[:, :, 1] - loop_ns) / NS_PER_S / self._lags_s)
+        deg = (by_deg_s2 * phase_s + by_deg_s) * phase_s + at_deg + gap_deg
+        loops = Loops(ns, deg, self._speeds_deg_s(ns, deg, gap_deg), gap_deg)
+        self._since_ns, self._motion = since_ns[-1], motion[-1]
+        self.phases = [phase for phase in self.phases if phase[0] > until_ns]
+        self.looks = [look for look in self.looks if look[0] > until_ns]
+        return loops
+
+    def measured(self, loops: Loops) -> None:
+        """Note that `loops` are no longer owed."""
+        self.ns = int(loops.ns[-1])
+        self.deg, self.deg_s, self.gap_deg = loops.deg[-1], loops.deg_s[-1], loops.gap_deg[-1]
+
+    def _speeds_deg_s(
+        self, ns: NDArray[np.int64], deg: FloatArray, gap_deg: FloatArray
+    ) -> FloatArray:
+        """Return how fast the horns turned since they were last brought to an instant."""
+        from_ns = np.repeat((ns - TICK_NS)[:, None], len(self.deg), axis=1)
+        from_deg = np.concatenate([self.deg[None], deg[:-1]])
+        if self.looks:
+            at_ns, indices, at_deg = map(np.array, zip(*self.looks, strict=True))
+            rows = -((self.ns - at_ns) // TICK_NS) - 1
+            is_within = (at_ns > self.ns) & (at_ns <= ns[-1])
+            is_within &= np.isnan(at_deg) | ((at_ns - self.ns) % TICK_NS > 0)
+            place = rows[is_within], indices[is_within]
+            from_ns[place], from_deg[place] = at_ns[is_within], at_deg[is_within]
+        passed_s = np.maximum(ns[:, None] - from_ns, 1) / NS_PER_S
+        deg_s: FloatArray = np.where(
+            np.isnan(from_deg), -gap_deg / self._lags_s, (deg - from_deg) / passed_s
+        )
+        return deg_s

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lss_motion.protocol.constants import Family
-from lss_motion.sim.blocks import BLOCK_NS
 from lss_motion.sim.hand import HAND_DEG_S
-from lss_motion.sim.horns import FOREVER_NS, SETTLED_DEG, Drives, Horns, Mode
+from lss_motion.sim.horns import BLOCK_NS, FOREVER_NS, SETTLED_DEG, Drives, Horns, Mode
 from lss_motion.sim.physics import TICK_NS
-from lss_motion.sim.profile import Halt, Limp, Motion, Order, SafeCause
+from lss_motion.sim.profile import Halt, Motion, Order, PowerOff, SafeCause
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -200,7 +199,7 @@ class Motors:
         self._is_guarded = [spec.model.family is not Family.IO2 for spec in specs]
         self.physics = physics
         self._drives = Drives(self.horns, physics, loop_phases_ns)
-        self._limits_ma: list[tuple[float, Halt | Limp] | None] = [None] * count
+        self._limits_ma: list[tuple[float, Halt | PowerOff] | None] = [None] * count
         self._dead_ns = ns_from_s(physics.dead_s)
         self._orders: list[tuple[int, int, int, Order]] = []
         self._order_count = 0
@@ -248,7 +247,7 @@ class Motors:
         """Take up the first of the orders, to which all that comes before it has been done."""
         taken_ns, _, index, order = heapq.heappop(self._orders)
         may_rest = self.horns.next_end_ns == FOREVER_NS
-        is_switched = isinstance(order, Limp) or not self._drives.is_powered[index]
+        is_switched = isinstance(order, PowerOff) or not self._drives.is_powered[index]
         if self.horns.block is None or may_rest or is_switched:
             self._disturb(index, taken_ns)
         else:
@@ -300,7 +299,7 @@ class Motors:
         self.horns.set_lag(index, now_ns, self.physics.lag_s * lag_ratio)
         self.horns.holding_ratio[index] = holding_ratio
 
-    def limit_current(self, index: int, limit: tuple[float, Halt | Limp] | None) -> None:
+    def limit_current(self, index: int, limit: tuple[float, Halt | PowerOff] | None) -> None:
         """Set the current (mA) above which a stalled motor holds or goes limp."""
         self._limits_ma[index] = limit
 
@@ -509,11 +508,11 @@ class Motors:
         for index, cause in power.safe_causes():
             if self.safe_cause[index] is SafeCause.NONE and self._is_guarded[index]:
                 self.safe_cause[index] = cause
-                self._give_way(index, now_ns, Limp())
+                self._give_way(index, now_ns, PowerOff())
 
-    def _give_way(self, index: int, now_ns: int, order: Halt | Limp) -> None:
+    def _give_way(self, index: int, now_ns: int, order: Halt | PowerOff) -> None:
         self.power.stuck_s[index] = 0.0
-        if isinstance(order, Limp):
+        if isinstance(order, PowerOff):
             self._drives.go_limp(index, now_ns)
         else:
             self._drives.hold(index, now_ns, self.horns.deg[index])

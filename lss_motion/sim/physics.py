@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.robot.model import ServoModel
-    from lss_motion.sim.hand import Led, Push
+    from lss_motion.sim.hand import HandGuide, Push
 
 TICK_NS = 5_000_000
 """One control loop of a servo: 5 ms (FACTS.md M7)."""
@@ -165,7 +165,7 @@ class ServoSpec(Struct, frozen=True, kw_only=True):
     answers: Mapping[str, int | str] = field(default_factory=dict)
     baud_bps: int | None = None
     firmware: int | None = None
-    hand: Led | None = None
+    hand: HandGuide | None = None
     push: Push | None = None
 
 

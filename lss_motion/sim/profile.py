@@ -21,7 +21,7 @@ TINY_DEG = 1e-12
 """A horn this near to its target has arrived: a phase over the rest takes under 1 ns."""
 
 
-class Phase(NamedTuple):
+class ProfilePhase(NamedTuple):
     """A time of constant acceleration. `duration_s` is infinite in the last phase."""
 
     duration_s: float
@@ -47,17 +47,17 @@ class Ramps(NamedTuple):
     decel_deg_s2: float
 
 
-def rest_at(position_deg: float) -> Phase:
-    return Phase(math.inf, position_deg, 0.0, 0.0)
+def rest_at(position_deg: float) -> ProfilePhase:
+    return ProfilePhase(math.inf, position_deg, 0.0, 0.0)
 
 
 def plan_stop(
     position_deg: float, speed_deg_s: float, decel_deg_s2: float
-) -> tuple[list[Phase], float]:
+) -> tuple[list[ProfilePhase], float]:
     """Return the phase that brakes to rest (none at rest), and its final position."""
     if abs(speed_deg_s) < decel_deg_s2 * TINY_S:
         return [], position_deg
-    brake = Phase(
+    brake = ProfilePhase(
         abs(speed_deg_s) / decel_deg_s2,
         position_deg,
         speed_deg_s,
@@ -68,7 +68,7 @@ def plan_stop(
 
 def plan_move(
     position_deg: float, speed_deg_s: float, target_deg: float, ramps: Ramps
-) -> list[Phase]:
+) -> list[ProfilePhase]:
     """Return the phases that end at rest exactly on `target_deg`.
 
     One that moves the wrong way, or too fast to stop in time, brakes to rest first and comes
@@ -89,7 +89,7 @@ def plan_move(
         speed_deg_s = sign * towards_deg_s
         for duration_s, accel_deg_s2 in stretches:
             if duration_s > TINY_S:
-                phase = Phase(duration_s, position_deg, speed_deg_s, sign * accel_deg_s2)
+                phase = ProfilePhase(duration_s, position_deg, speed_deg_s, sign * accel_deg_s2)
                 phases.append(phase)
                 position_deg, speed_deg_s = phase.end()
     phases.append(rest_at(target_deg))
@@ -98,9 +98,9 @@ def plan_move(
 
 def plan_wheel(
     position_deg: float, speed_deg_s: float, target_deg_s: float, ramps: Ramps
-) -> list[Phase]:
+) -> list[ProfilePhase]:
     """Return the phases that reach `target_deg_s` and keep it for ever."""
-    phases: list[Phase] = []
+    phases: list[ProfilePhase] = []
     if speed_deg_s * target_deg_s < 0.0:
         phases, position_deg = plan_stop(position_deg, speed_deg_s, ramps.decel_deg_s2)
         speed_deg_s = 0.0
@@ -108,7 +108,7 @@ def plan_wheel(
     rate_deg_s2 = ramps.accel_deg_s2 if faster else ramps.decel_deg_s2
     change_deg_s = target_deg_s - speed_deg_s
     if abs(change_deg_s) > rate_deg_s2 * TINY_S:
-        ramp = Phase(
+        ramp = ProfilePhase(
             abs(change_deg_s) / rate_deg_s2,
             position_deg,
             speed_deg_s,
@@ -116,7 +116,7 @@ def plan_wheel(
         )
         phases.append(ramp)
         position_deg = ramp.end()[0]
-    phases.append(Phase(math.inf, position_deg, target_deg_s, 0.0))
+    phases.append(ProfilePhase(math.inf, position_deg, target_deg_s, 0.0))
     return phases
 
 
@@ -208,7 +208,7 @@ class ProfileMove(Struct, frozen=True):
     duration_s: float | None = None
 
 
-class Chase(Struct, frozen=True):
+class FilterMove(Struct, frozen=True):
     """Go to `target_deg` through the EM0 filter.
 
     With `is_repeated` (IPE) the filter steps by itself every 20 ms, without once an order.
@@ -234,8 +234,8 @@ class Halt(Struct, frozen=True):
     """Stop the profile at once where it is, and hold; the horn closes up within its lag."""
 
 
-class Limp(Struct, frozen=True):
+class PowerOff(Struct, frozen=True):
     """Take the power off. Friction keeps the horn where it is."""
 
 
-Order = ProfileMove | Chase | Wheel | Halt | Limp
+Order = ProfileMove | FilterMove | Wheel | Halt | PowerOff

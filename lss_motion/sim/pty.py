@@ -90,7 +90,7 @@ def serve_buses(
             linked = None
             if link is not None:
                 linked = link if len(buses) == 1 else link.with_name(f"{link.name}.{name}")
-            port = Port(bus, linked, name=name, announce=announce)
+            port = PtyPort(bus, linked, name=name, announce=announce)
             stack.callback(port.close)
             port.open()
             ports.append(port)
@@ -99,7 +99,7 @@ def serve_buses(
     return received[0] if received else None
 
 
-class Port:
+class PtyPort:
     """One bus behind one pseudo-terminal. The host's side is `path` while it is plugged in."""
 
     def __init__(
@@ -253,7 +253,7 @@ class Port:
         return int.from_bytes(settings[-4:], sys.byteorder)
 
 
-def _turn(ports: list[Port], alarm_fd: int) -> None:
+def _turn(ports: list[PtyPort], alarm_fd: int) -> None:
     """Wait for a host or the next instant, then bring every port up to now."""
     now_ns = time.monotonic_ns()
     open_ports = {port.master_fd: port for port in ports if port.is_open_to_host(now_ns)}

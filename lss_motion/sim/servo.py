@@ -22,7 +22,7 @@ from lss_motion.protocol.constants import (
 )
 from lss_motion.protocol.framing import DISABLED, Reply
 from lss_motion.protocol.table import Form, ReplyShape
-from lss_motion.sim.profile import Chase, Halt, Limp, Motion, ProfileMove, Ramps, Wheel
+from lss_motion.sim.profile import FilterMove, Halt, Motion, PowerOff, ProfileMove, Ramps, Wheel
 from lss_motion.sim.readings import PULSE_HALF_US, PULSE_MID_US, Readings, Settings
 from lss_motion.units import ns_from_s, s_from_ms
 
@@ -73,7 +73,7 @@ class Moves:
         value = command.value if isinstance(command.value, int) else None
         match name, value:
             case "L", _:
-                self._order(now_ns, Limp(), {})
+                self._order(now_ns, PowerOff(), {})
             case "H", _:
                 self._order(now_ns, Halt(), {})
             case (("D" | "MD" | "P" | "M" | "WD" | "WR" | "MD_RAW"), None):
@@ -129,7 +129,7 @@ class Moves:
         raw_deg = self._motors.raw_deg(self._index, seen_deg)
         if not self._has_profile():
             is_repeated = settings.session.get("IPE", 1) != 0
-            chase = Chase(raw_deg, settings.number("FPC"), is_repeated)
+            chase = FilterMove(raw_deg, settings.number("FPC"), is_repeated)
             self._order(now_ns, chase, modifiers)
             return
         ramps = self._session_ramps()
@@ -156,9 +156,9 @@ class Moves:
         self._order(now_ns, Wheel(top_deg_s * duty / DUTY_MAX, None, is_free=True), {})
 
     def _order(self, now_ns: int, order: Order, modifiers: dict[str, float]) -> None:
-        limit: tuple[float, Halt | Limp] | None = None
+        limit: tuple[float, Halt | PowerOff] | None = None
         if "CL" in modifiers:  # It takes precedence over CH (FACTS.md M18).
-            limit = (modifiers["CL"] * MA_PER_A, Limp())
+            limit = (modifiers["CL"] * MA_PER_A, PowerOff())
         elif "CH" in modifiers:
             limit = (modifiers["CH"] * MA_PER_A, Halt())
         self._motors.limit_current(self._index, limit)
@@ -283,7 +283,7 @@ class RcInput:
 
     def _limp_later(self, now_ns: int) -> None:
         limp_ns = now_ns + ns_from_s(self._motors.physics.rc_limp_s)
-        self._motors.order(self._index, limp_ns, Limp())
+        self._motors.order(self._index, limp_ns, PowerOff())
 
 
 ORDERED_FIRMWARE = 370

@@ -232,7 +232,7 @@ PACKET_BYTES = 62
 
 
 @dataclass(slots=True)
-class Packet:
+class HostPacket:
     """Bytes that reach the host together."""
 
     due_ns: int
@@ -250,7 +250,7 @@ class Adapter:
         self._latency_ns = latency_ns
         self._origin_ns = 0
         self._outages_ns: Sequence[tuple[int, int]] = ()
-        self._packets: deque[Packet] = deque()
+        self._packets: deque[HostPacket] = deque()
         self._delivered = bytearray()
         """Without a latency: the bytes that have arrived since the last `read`."""
 
@@ -268,7 +268,7 @@ class Adapter:
         last = self._packets[-1] if self._packets else None
         is_full = last is not None and len(last.data) == PACKET_BYTES
         if last is None or is_full or last.due_ns < end_ns:
-            last = Packet(self.due_ns(end_ns))
+            last = HostPacket(self.due_ns(end_ns))
             self._packets.append(last)
         last.data.append(value)
         if len(last.data) == PACKET_BYTES:

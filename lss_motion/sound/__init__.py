@@ -6,13 +6,10 @@ installs it.
 
 | file              | what it does                                         | used by              |
 |-------------------|------------------------------------------------------|----------------------|
-| `files.py`        | WAV, FLAC, OGG, MP3 as samples, exact to the frame   | all                  |
-| `sources.py`      | a file at the rate of a device, read ahead           | `mixer`, `process`   |
+| `files.py`        | WAV, FLAC, OGG, MP3 as samples and spectra           | all                  |
 | `mixer.py`        | what a device plays, block by block, with the show   | `device`, `process`  |
-| `spectra.py`      | short-time spectra of a file, piece by piece         | `envelope`, `beats`  |
-| `envelope.py`     | loudness over time; syllables, swells, sides         | `interchange`        |
+| `envelope.py`     | loudness over time; syllables, swells, sides; drawn  | `interchange`, `cli` |
 | `beats.py`        | tempo and beats, as a proposal                       | `cli`                |
-| `waveform.py`     | a sound as it is drawn                               | `trajectory`, `cli`  |
 | `device.py`       | the devices of this computer, one open stream        | `process`, `cli`     |
 | `process.py`      | the process that plays the sounds of a show          | started by `runtime` |
 """

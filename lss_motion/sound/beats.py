@@ -17,13 +17,12 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.sound.files import SoundReader
-from lss_motion.sound.spectra import grid_of, powers
+from lss_motion.sound.files import SoundReader, grid_of, powers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lss_motion.sound.spectra import Grid, Part
+    from lss_motion.sound.files import SoundPart, SpectrumGrid
 
     FloatArray = NDArray[np.float64]
 
@@ -76,7 +75,7 @@ class Beats(Struct, frozen=True, kw_only=True, eq=False):
     """Of onsets, from the beginning of the part on; its mean is 1 or less."""
 
 
-def beats_of(part: Part, bpm: float | None = None) -> Beats:
+def beats_of(part: SoundPart, bpm: float | None = None) -> Beats:
     """Return the beats of a part of a file; `bpm` is about the tempo, if it is known.
 
     Times count from the beginning of the file. Raises `InputError` if the file cannot be read, is
@@ -125,7 +124,7 @@ def every(at_s: FloatArray, from_s: float, count: int) -> FloatArray:
     return at_s[first::count]
 
 
-def _strength(reader: SoundReader, part: Part, grid: Grid) -> FloatArray:
+def _strength(reader: SoundReader, part: SoundPart, grid: SpectrumGrid) -> FloatArray:
     """Return how much the level rises at each step, over all bands."""
     from scipy.ndimage import uniform_filter1d
 

@@ -40,7 +40,7 @@ class NoDeviceError(Exception):
     """No sound can be played; the text says why and what to do."""
 
 
-class Device(Struct, frozen=True, kw_only=True):
+class SoundDevice(Struct, frozen=True, kw_only=True):
     """A device that can play, as its driver states it."""
 
     name: str
@@ -65,7 +65,7 @@ def sounddevice_module() -> ModuleType:
     return module
 
 
-def devices(way: Literal["output", "input"] = "output") -> list[Device]:
+def devices(way: Literal["output", "input"] = "output") -> list[SoundDevice]:
     """Return the devices that can play, or record.
 
     Raises `NoDeviceError` if the library is missing.
@@ -74,7 +74,7 @@ def devices(way: Literal["output", "input"] = "output") -> list[Device]:
     default = library.default.device[1 if way == "output" else 0]
     drivers = library.query_hostapis()
     return [
-        Device(
+        SoundDevice(
             name=found["name"],
             driver=drivers[found["hostapi"]]["name"],
             channels=found[f"max_{way}_channels"],
@@ -87,7 +87,7 @@ def devices(way: Literal["output", "input"] = "output") -> list[Device]:
     ]
 
 
-def chosen_device(name: str, way: Literal["output", "input"] = "output") -> Device:
+def chosen_device(name: str, way: Literal["output", "input"] = "output") -> SoundDevice:
     """Return the device of that name, or the default one; raises `NoDeviceError`."""
     found, what = devices(way), "sound device" if way == "output" else "sound input"
     if not found:
@@ -171,7 +171,7 @@ def _reason(error: Exception) -> str:
     return str(error.args[0] if error.args else error)
 
 
-def play_tone(name: str = "") -> tuple[Device, float]:
+def play_tone(name: str = "") -> tuple[SoundDevice, float]:
     """Play a short tone; return the device and the latency that its driver states.
 
     Raises `NoDeviceError`.

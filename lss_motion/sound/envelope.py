@@ -5,7 +5,8 @@
     keys = syllable_keys(open_ratio, curve.step_s, …)    where the mouth turns
 
 All of it is zero-phase: a syllable of the result is where it is in the sound. Nothing here knows a
-joint; a ratio from 0 to 1 becomes an angle elsewhere.
+joint; a ratio from 0 to 1 becomes an angle elsewhere. `waveform` is a sound as it is
+drawn: columns of its least and largest sample, and its loudness over them.
 """
 
 from __future__ import annotations
@@ -19,16 +20,19 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.show.splines import runs
-from lss_motion.sound.files import SoundReader
-from lss_motion.sound.spectra import grid_of, powers
+from lss_motion.sound.files import SoundReader, grid_of, powers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lss_motion.sound.spectra import Part
+    from lss_motion.sound.files import SoundPart
 
     FloatArray = NDArray[np.float64]
     IntArray = NDArray[np.intp]
+    from typing import Any
+
+    from numpy.typing import NDArray
+
 
 STEP_S: Final = 0.005
 WINDOW_S: Final = 0.02
@@ -90,7 +94,7 @@ class Loudness(Struct, frozen=True, kw_only=True, eq=False):
         return float(np.percentile(audible, FULL_PERCENT))
 
 
-class Turn(Struct, frozen=True, kw_only=True):
+class TurningPoint(Struct, frozen=True, kw_only=True):
     """A place where a curve turns, or rests for `hold_s`."""
 
     at_s: float
@@ -99,7 +103,9 @@ class Turn(Struct, frozen=True, kw_only=True):
     is_peak: bool = False
 
 
-def loudness(part: Part, band_hz: tuple[float, float], smooth_s: float = SYLLABLE_S) -> Loudness:
+def loudness(
+    part: SoundPart, band_hz: tuple[float, float], smooth_s: float = SYLLABLE_S
+) -> Loudness:
     """Return the level of a part of a file in a band, smoothed by a bell of `smooth_s`.
 
     Raises `InputError` if the file cannot be read, or is silent there.
@@ -113,7 +119,9 @@ def loudness(part: Part, band_hz: tuple[float, float], smooth_s: float = SYLLABL
     return curve
 
 
-def sides(part: Part, band_hz: tuple[float, float], smooth_s: float) -> tuple[float, FloatArray]:
+def sides(
+    part: SoundPart, band_hz: tuple[float, float], smooth_s: float
+) -> tuple[float, FloatArray]:
     """Return the step in s, and from which side the sound comes: 0 left, 0.5 middle, 1 right.
 
     In pauses that is the middle. Raises `InputError` if the file is mono or silent.
@@ -128,7 +136,7 @@ def sides(part: Part, band_hz: tuple[float, float], smooth_s: float) -> tuple[fl
     return left.step_s, 0.5 + 0.5 * (right.level - left.level) / np.maximum(total, floor)
 
 
-def _level(part: Part, band_hz: tuple[float, float], smooth_s: float) -> Loudness:
+def _level(part: SoundPart, band_hz: tuple[float, float], smooth_s: float) -> Loudness:
     from scipy.ndimage import gaussian_filter1d
 
     with SoundReader(part.path) as reader:
@@ -171,7 +179,7 @@ def slowed(values: FloatArray, step_s: float, per_s: float) -> FloatArray:
     return middle
 
 
-def syllable_keys(ratio: FloatArray, step_s: float, opening_min: float) -> list[Turn]:
+def syllable_keys(ratio: FloatArray, step_s: float, opening_min: float) -> list[TurningPoint]:
     """Return where a mouth turns: its largest openings, and between them valleys or rests.
 
     It begins and ends closed, and lasts as long as the curve.
@@ -181,17 +189,17 @@ def syllable_keys(ratio: FloatArray, step_s: float, opening_min: float) -> list[
     padded = np.concatenate([[0.0], ratio, [0.0]])
     peaks, _ = find_peaks(padded, prominence=PROMINENCE, distance=max(1.0, APART_S / step_s))
     peaks = np.unique(np.clip(peaks - 1, 1, len(ratio) - 2))
-    found: list[Turn] = []
+    found: list[TurningPoint] = []
     bounds = [-1, *peaks.tolist(), len(ratio)]
     for before, after in pairwise(bounds):
         if before >= 0:
             opening = max(float(ratio[before]), opening_min)
-            found.append(Turn(at_s=before * step_s, ratio=opening, is_peak=True))
+            found.append(TurningPoint(at_s=before * step_s, ratio=opening, is_peak=True))
         found += _valley(ratio, step_s, before, after)
     return found
 
 
-def _valley(ratio: FloatArray, step_s: float, before: int, after: int) -> list[Turn]:
+def _valley(ratio: FloatArray, step_s: float, before: int, after: int) -> list[TurningPoint]:
     """Return the rest or the valley between two peaks; -1 and the length are the ends."""
     first, end = max(before, 0), min(after, len(ratio) - 1)
     part = ratio[first : end + 1]
@@ -209,12 +217,12 @@ def _valley(ratio: FloatArray, step_s: float, before: int, after: int) -> list[T
     else:
         rests = [(closed[0][0], closed[-1][1])] if closed else []
     if rests:
-        return [Turn(at_s=a, ratio=0.0, hold_s=b - a) for a, b in rests]
+        return [TurningPoint(at_s=a, ratio=0.0, hold_s=b - a) for a, b in rests]
     lowest = int(np.argmin(part))
-    return [Turn(at_s=(first + lowest) * step_s, ratio=float(part[lowest]))]
+    return [TurningPoint(at_s=(first + lowest) * step_s, ratio=float(part[lowest]))]
 
 
-def swell_keys(values: FloatArray, step_s: float, prominence: float) -> list[Turn]:
+def swell_keys(values: FloatArray, step_s: float, prominence: float) -> list[TurningPoint]:
     """Return the first value, the last one, and where a curve turns in between."""
     from scipy.signal import find_peaks
 
@@ -226,7 +234,7 @@ def swell_keys(values: FloatArray, step_s: float, prominence: float) -> list[Tur
         if min(values[before], values[after]) - values[lowest] >= prominence:
             chosen.add(lowest)
     places = _alternating(values, sorted(chosen))
-    return [Turn(at_s=place * step_s, ratio=float(values[place])) for place in places]
+    return [TurningPoint(at_s=place * step_s, ratio=float(values[place])) for place in places]
 
 
 def _alternating(values: FloatArray, places: list[int]) -> list[int]:
@@ -240,3 +248,83 @@ def _alternating(values: FloatArray, places: list[int]) -> list[int]:
             continue
         kept.append(place)
     return kept
+
+
+COLUMNS: Final = 1200
+BLOCK: Final = 1 << 16
+WAVE, LEVEL, BEAT = "#b8c4d0", "#5b3f8c", "#c98a1b"
+"""Colours: samples, loudness, beats."""
+NUMBERS_MAX: Final = 40
+"""Beats that are numbered; of more, only some are."""
+
+
+class Waveform(Struct, frozen=True, kw_only=True, eq=False):
+    """Columns of a sound; `level` is its loudness from 0 to 1 at `level_at_s`."""
+
+    at_s: FloatArray
+    low: FloatArray
+    high: FloatArray
+    level_at_s: FloatArray
+    level: FloatArray
+
+
+def waveform(part: SoundPart, columns: int = COLUMNS) -> Waveform:
+    """Return a part of a file as columns; raises `InputError` if it cannot be read."""
+    with SoundReader(part.path) as reader:
+        first, end = part.frames(reader.info)
+        rate_hz = reader.info.rate_hz
+        edges = np.unique(np.linspace(first, end, min(columns, end - first) + 1).astype(np.int64))
+        low, high = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+        at = first
+        while at < end:
+            samples = part.selected(reader.read_channels(at, min(BLOCK, end - at)))
+            if not len(samples):
+                break
+            places = np.searchsorted(edges, np.arange(at, at + len(samples)), side="right") - 1
+            np.minimum.at(low, places, samples)
+            np.maximum.at(high, places, samples)
+            at += len(samples)
+    try:
+        curve = loudness(part, MouthStyle().band_hz)
+    except InputError:  # Silent: it is drawn as such.
+        times_s, level = np.zeros(0), np.zeros(0)
+    else:
+        times_s, level = part.from_s + curve.times_s, np.minimum(curve.level / curve.full, 1.0)
+    return Waveform(
+        at_s=0.5 * (edges[1:] + edges[:-1]) / rate_hz,
+        low=low,
+        high=high,
+        level_at_s=times_s,
+        level=level,
+    )
+
+
+def draw_waveform(axis: Any, wave: Waveform, at_s: float = 0.0, ratio: float = 1.0) -> None:  # noqa: ANN401
+    """Draw a sound that begins at `at_s` and is played `ratio` times as fast as it is."""
+    axis.fill_between(at_s + wave.at_s / ratio, wave.low, wave.high, color=WAVE, linewidth=0)
+    if len(wave.level):
+        peak = max(float(np.abs(wave.low).max()), float(wave.high.max()), 1e-6)
+        step = max(1, len(wave.level) // (4 * COLUMNS))
+        times_s = at_s + wave.level_at_s[::step] / ratio
+        axis.plot(times_s, peak * wave.level[::step], color=LEVEL, linewidth=0.9)
+
+
+def draw_beats(axis: Any, beats_s: FloatArray, from_s: float, to_s: float) -> None:  # noqa: ANN401
+    """Draw the beats between two times as lines, with the numbers of as many as can be read."""
+    axis.vlines(beats_s, 0.0, 1.0, transform=axis.get_xaxis_transform(), color=BEAT, linewidth=0.7)
+    first, end = np.searchsorted(beats_s, [from_s, to_s]).tolist()
+    apart = 1
+    while (end - first) / apart > NUMBERS_MAX:
+        apart *= 2
+    for number in range(1, len(beats_s) + 1, apart):
+        if not first < number <= end:
+            continue
+        axis.annotate(
+            str(number),
+            (beats_s[number - 1], 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(1, -7),
+            textcoords="offset points",
+            fontsize=6,
+            color=BEAT,
+        )

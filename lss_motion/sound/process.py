@@ -17,8 +17,7 @@ from msgspec.structs import asdict
 
 from lss_motion.errors import InputError
 from lss_motion.sound.device import NoDeviceError, OpenStream
-from lss_motion.sound.mixer import FADE_S, Mixer, Voice
-from lss_motion.sound.sources import Source
+from lss_motion.sound.mixer import FADE_S, Mixer, PrefetchedSound, Voice
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import serve, wait_for
 from lss_motion.system.sound_messages import (
@@ -64,7 +63,7 @@ class Sounding:
         self._pipe = pipe
         self._is_ending = False
         self._is_lost = False
-        self._sources: list[Source] = []
+        self._sources: list[PrefetchedSound] = []
         self._alive_s = self._led_s = time.monotonic()
 
     def run(self) -> None:
@@ -101,7 +100,7 @@ class Sounding:
     def _schedule(self, order: PlaySound) -> None:
         """Open a sound and give it to the mixer."""
         try:
-            source = Source(Path(order.path), self._stream.rate_hz)
+            source = PrefetchedSound(Path(order.path), self._stream.rate_hz)
         except InputError as error:
             self._pipe.send(SoundFailed(order.number, error.reason))
             return

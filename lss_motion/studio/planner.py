@@ -130,7 +130,7 @@ def file_digest(path: Path) -> str:
 
 
 def _robot(path: Path, request: Request) -> Robot:
-    from lss_motion.maintenance.backup import with_backup
+    from lss_motion.maintenance.settings import with_backup
     from lss_motion.playing.connection import with_port
     from lss_motion.robot.load import load_robot
 
@@ -147,7 +147,7 @@ def _files_of_robot(robot: Robot) -> list[Path]:
 
 def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
     from lss_motion.maintenance.guided import ServoTasks
-    from lss_motion.maintenance.scan_job import ScanJob
+    from lss_motion.maintenance.survey import ScanJob
     from lss_motion.playing.connection import is_simulated
     from lss_motion.playing.remote.live_end import LiveJob
     from lss_motion.playing.remote.process import packed

@@ -10,8 +10,7 @@ import pytest
 from lss_motion.errors import BusError
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Robot, ServoModel
-from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.port import SimPort
+from lss_motion.sim.bus import SimPort, bus_from_robot
 from lss_motion.system.clock import MonotonicClock, VirtualClock
 from lss_motion.system.port import SerialPort
 from tests.joints import joint

@@ -62,7 +62,7 @@ def test_a_wait_takes_its_time_and_drops_late_data(robot):
 
 def test_nothing_stays_open_when_one_port_does_not_open(tmp_path, robot, monkeypatch):
     closed = []
-    monkeypatch.setattr("lss_motion.sim.port.SimPort.close", lambda port: closed.append(port.url))
+    monkeypatch.setattr("lss_motion.sim.bus.SimPort.close", lambda port: closed.append(port.url))
     buses = {
         "left": robot.buses["left"],
         "gone": Bus(name="gone", port=str(tmp_path / "no"), baud_bps=9600, firmware=370),

@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion.maintenance.careful import CarefulRun
 from lss_motion.maintenance.careful_legs import way_of
-from lss_motion.maintenance.identify.joint_run import State
+from lss_motion.maintenance.identify.joint_run import ExperimentState
 from lss_motion.playing.connection import connect
 from lss_motion.playing.player import handshake
 from lss_motion.playing.runner import run
@@ -207,7 +207,7 @@ def test_ctrl_c_brakes_by_the_ramps_restores_and_holds(tmp_path, leg):
     careful = bench.run(stop_at)
     assert careful.is_stopped
     assert careful.error is None
-    assert careful.state is State.DONE
+    assert careful.state is ExperimentState.DONE
     assert bench.lines()[-1] == b"#3H"
     assert set(bench.lines()[-5:-1]) == RESTORED
     accel = np.diff(bench.horn_deg(), n=2) / (1e-9 * TICK_NS) ** 2
@@ -223,7 +223,7 @@ def test_ctrl_c_brakes_by_the_ramps_restores_and_holds(tmp_path, leg):
 def test_a_second_ctrl_c_ends_at_once_and_safely(tmp_path):
     bench = Bench(tmp_path)
     careful = bench.run(StopAt(1, 6, count=2))
-    assert careful.state is State.DONE
+    assert careful.state is ExperimentState.DONE
     assert bench.lines()[-1] == b"#3H"
     assert set(bench.lines()[-9:-1]) == RESTORED
 

@@ -14,11 +14,10 @@ from benches.random_logs import Tape
 from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.errors import PlaybackError
+from lss_motion.maintenance.identify.estimate import response_values
 from lss_motion.maintenance.identify.response_fit import Measured
 from lss_motion.maintenance.identify.show_fit import identify_from_show
-from lss_motion.maintenance.identify.show_log import recordings
-from lss_motion.maintenance.identify.show_pieces import TooLittleMotionError
-from lss_motion.maintenance.identify.summary import response_values
+from lss_motion.maintenance.identify.show_pieces import TooLittleMotionError, recordings
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.player.events import Warned

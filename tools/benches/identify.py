@@ -16,15 +16,14 @@ import numpy as np
 from benches.random_servo import random_servo
 from benches.table import Row
 from lss_motion.maintenance.identify.estimate import identify
-from lss_motion.maintenance.identify.experiment import Experiment
+from lss_motion.maintenance.identify.joint_run import Experiment
 from lss_motion.maintenance.identify.trials import make_window
 from lss_motion.playing.connection import Connection
 from lss_motion.playing.player import checks, handshake
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sim.bus import SimBus
+from lss_motion.sim.bus import SimBus, SimPort
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
-from lss_motion.sim.port import SimPort
 from lss_motion.system.clock import VirtualClock
 from lss_motion.units import s_from_ns
 

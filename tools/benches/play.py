@@ -38,7 +38,7 @@ whole run (median of 13 alternating pairs, 0.78 to 0.93, at a load of 13 process
   files in virtual time.
 - to 2.08: common lines and replies with numbers are read without a parser.
 - to 1.88: a horn is computed by itself when its servo is read or ordered, and the control loops of
-  up to 0.32 s at once (`sim/blocks.py`): 4,784 loops in 560 blocks. A load, play, or a motor that
+  up to 0.32 s at once (`sim/horns.py`): 4,784 loops in 560 blocks. A load, play, or a motor that
   may be held back need each loop after the one before it, as ever. Bytes and instants are the
   same. Horns differ by up to 4e-7 degrees, and by 1.2e-5 where a motor is held back: one value of
   39,000 in thousandths of a degree.

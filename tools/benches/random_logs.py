@@ -33,9 +33,9 @@ from benches.in_phase import horn_rms_deg, play_in_phase  # noqa: E402
 from benches.random_robots import show_from  # noqa: E402
 from benches.shows import lively_show, robot_of  # noqa: E402
 from lss_motion.errors import InputError, PlaybackError  # noqa: E402
+from lss_motion.maintenance.identify.estimate import response_values  # noqa: E402
 from lss_motion.maintenance.identify.show_fit import identify_from_show  # noqa: E402
-from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings  # noqa: E402
-from lss_motion.maintenance.identify.summary import response_values  # noqa: E402
+from lss_motion.maintenance.identify.show_pieces import LoggedBytes, recordings  # noqa: E402
 from lss_motion.playing import api  # noqa: E402
 from lss_motion.robot.load import load_robot, within_ramps  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lss_motion.maintenance.identify.estimate import Identified
-    from lss_motion.maintenance.identify.show_log import ShowRecording
+    from lss_motion.maintenance.identify.show_pieces import ShowRecording
     from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.deviation import Deviation

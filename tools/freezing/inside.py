@@ -48,7 +48,7 @@ class Wire:
 @contextlib.contextmanager
 def wire() -> Iterator[Wire]:
     """Record what passes each simulated port that is opened in this process."""
-    from lss_motion.sim.port import SimPort
+    from lss_motion.sim.bus import SimPort
 
     kept = Wire()
 

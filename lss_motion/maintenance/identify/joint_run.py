@@ -2,11 +2,12 @@
 
 `JointRun` is driven by the run loop (`playing.runner.Driven`): settings of the session, trials with
 queries in between, and however they end, restore the settings and hold. What it moves and judges is
-decided by its subclasses: `experiment.Experiment`, `maintenance.careful.CarefulRun`.
+decided by its subclasses: `Experiment` (the trials of one joint), `maintenance.careful.CarefulRun`.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import deque
 from enum import Enum
@@ -17,11 +18,13 @@ from msgspec import Struct
 from lss_motion.errors import BusError, LssMotionError, PlaybackError
 from lss_motion.maintenance.identify.trials import (
     SETTLE_S,
-    Kind,
     PlannedMove,
+    Recording,
     SentMove,
     Trial,
+    TrialKind,
     TrialPlan,
+    make_trials,
 )
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.checks import reported_firmware
@@ -32,20 +35,19 @@ from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
-from lss_motion.robot.profile import Profile, ramp_deg_s2
+from lss_motion.robot.profile import Profile, ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.maintenance.identify.trials import Window
+    from lss_motion.maintenance.identify.trials import MotionWindow
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.handshake import Answers, SettingsDialogue
     from lss_motion.playing.player.settings_watch import Probe
     from lss_motion.playing.player.transactions import Item
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
-
 
 READ_EVERY_NS: Final = 6 * NS_PER_MS
 """The period of the readings, if the line allows: ten in a ramp of 60 ms."""
@@ -66,7 +68,7 @@ OUTSIDE_READINGS: Final = 2
 """So many consecutive readings outside the window end it: one may be damaged."""
 
 
-class State(Enum):
+class ExperimentState(Enum):
     """The phase of an experiment."""
 
     PREPARE = "preparing"
@@ -85,11 +87,17 @@ class JointRun(ABC):
     """
 
     def __init__(
-        self, joint: Joint, robot: Robot, answers: Answers, window: Window, *, standing_deg: float
+        self,
+        joint: Joint,
+        robot: Robot,
+        answers: Answers,
+        window: MotionWindow,
+        *,
+        standing_deg: float,
     ) -> None:
         """`answers` are for `handshake.questions`; the joint stands at `standing_deg` (servo)."""
         self.joint = joint
-        self.state = State.PREPARE
+        self.state = ExperimentState.PREPARE
         self.error: LssMotionError | None = None
         self.is_stopped = False
         self.window = window
@@ -104,7 +112,7 @@ class JointRun(ABC):
             response=joint.response,
         )
         self._dialogue: Dialogue | SettingsDialogue | None = None
-        self._trial = Trial(Kind.STEP, 0.0, standing_deg)
+        self._trial = Trial(TrialKind.STEP, 0.0, standing_deg)
         self._moves: deque[PlannedMove] = deque()
         self._began_ns = 0
         self._rests_ns = 0
@@ -174,7 +182,7 @@ class JointRun(ABC):
                 self._take(polled, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
-        if self.state is State.DONE:
+        if self.state is ExperimentState.DONE:
             return None
         if self._dialogue is not None:
             wakeup_ns = self._dialogue.next_wakeup_ns()
@@ -204,20 +212,20 @@ class JointRun(ABC):
 
     def stop(self, now_ns: int) -> None:
         """Brake, hold, restore the settings, end. A second call ends at once without braking."""
-        if self.state is State.DONE:
+        if self.state is ExperimentState.DONE:
             return
         if self.is_stopped:
             self._abort(now_ns)
             return
         self.is_stopped = True
-        if self.state not in (State.BRAKE, State.RESTORE):
+        if self.state not in (ExperimentState.BRAKE, ExperimentState.RESTORE):
             self._brake(now_ns)
 
     # ---- phases
 
     def _step(self, now_ns: int) -> bool:
         """Do what is due; return whether the phase changed."""
-        if self.state is State.DONE:
+        if self.state is ExperimentState.DONE:
             return False
         if self._dialogue is not None:
             self._has_set = True
@@ -232,7 +240,7 @@ class JointRun(ABC):
             self._after_trial(now_ns)
             return True
         self._poller.ask(now_ns, self._due_ns(self._moves[0]) if self._moves else None)
-        if self._poller.is_silent and self.state is not State.BRAKE:
+        if self._poller.is_silent and self.state is not ExperimentState.BRAKE:
             text = f"servo {self.joint.servo_id} has stopped answering; check its power and wiring"
             error = BusError(f"joint {self.joint.name!r}: {text}", url=self._line.bus.port)
             self._fail(error, now_ns)
@@ -242,17 +250,17 @@ class JointRun(ABC):
     @property
     def _may_move(self) -> bool:
         """Whether the servo is not in doubt to have restarted; to brake needs no settings."""
-        return self.state is State.BRAKE or not self._poller.servo.is_doubtful
+        return self.state is ExperimentState.BRAKE or not self._poller.servo.is_doubtful
 
     def _after_dialogue(self, now_ns: int) -> None:
-        if self.state is State.RESTORE:
+        if self.state is ExperimentState.RESTORE:
             self._take_answers()
             self._finish(now_ns)
         else:
             self._prepared(now_ns)
 
     def _after_trial(self, now_ns: int) -> None:
-        if self.state is State.BRAKE:
+        if self.state is ExperimentState.BRAKE:
             self._restore()
             return
         self._trial_over(now_ns)
@@ -266,7 +274,7 @@ class JointRun(ABC):
         self._rests_ns = at_ns + ns_from_s(plan.end_s)
 
     def _fail(self, error: LssMotionError, now_ns: int) -> None:
-        if self.state is not State.BRAKE:
+        if self.state is not ExperimentState.BRAKE:
             self.error = self.error or error
             self._brake(now_ns)
 
@@ -276,27 +284,27 @@ class JointRun(ABC):
             self._restore()
             return
         self._take_answers()
-        self.state = State.BRAKE
+        self.state = ExperimentState.BRAKE
         command, lasts_s = self._stop_move(now_ns)
         if self._poller.servo.is_doubtful or self._poller.is_silent:
             self._holds_all = True
             command, lasts_s = Command(self.joint.servo_id, "H"), 0.0
-        self._begin(TrialPlan(Kind.STEP, (), lasts_s), now_ns)
+        self._begin(TrialPlan(TrialKind.STEP, (), lasts_s), now_ns)
         self._line.send(encode(command), now_ns)
 
     def _restore(self) -> None:
         self._take_answers()
-        self.state = State.RESTORE
+        self.state = ExperimentState.RESTORE
         self._dialogue = self._ask(handshake.restoring_orders([self.joint], self._answers))
 
     def _abort(self, now_ns: int) -> None:
         self._take_answers()
         for data in self.safe_bytes().values():
             self._line.send(data, now_ns)
-        self.state = State.DONE
+        self.state = ExperimentState.DONE
 
     def _finish(self, now_ns: int) -> None:
-        self.state = State.DONE
+        self.state = ExperimentState.DONE
         if self._has_moved:
             self._line.send(self._hold_bytes(), now_ns)
 
@@ -331,7 +339,7 @@ class JointRun(ABC):
             return True
         if now_ns < self._rests_ns + ns_from_s(SETTLE_MAX_S):
             return False
-        if self.state is not State.BRAKE:
+        if self.state is not ExperimentState.BRAKE:
             self.error = self._fault("does not come to rest: something swings, or pushes it")
         return True
 
@@ -471,7 +479,7 @@ def not_arrived(
     )
 
 
-def outside(joint: Joint, window: Window, reading_deg: float) -> str:
+def outside(joint: Joint, window: MotionWindow, reading_deg: float) -> str:
     """Return the fault text of a horn at `reading_deg` outside the window, or ''."""
     if window.low_deg - GUARD_DEG <= reading_deg <= window.high_deg + GUARD_DEG:
         return ""
@@ -480,3 +488,105 @@ def outside(joint: Joint, window: Window, reading_deg: float) -> str:
         f"is at {joint.joint_deg(reading_deg):.1f} deg but was to stay within {low:.1f} to "
         f"{high:.1f} deg"
     )
+
+
+HOLD_MS: Final = 300
+"""T of the first command, whose target is the present angle."""
+DITHER_S: Final = 0.02
+"""Trials begin at instants spread evenly over this time, so that they meet the control loops of the
+servo, whose period is some milliseconds, at every phase."""
+GOLDEN_RATIO: Final = 0.6180339887498949
+
+
+class Experiment(JointRun):
+    """Measures one joint. `error` is set if that failed, `is_stopped` if a person ended it."""
+
+    def __init__(
+        self,
+        joint: Joint,
+        robot: Robot,
+        answers: Answers,
+        window: MotionWindow,
+        *,
+        standing_deg: float,
+    ) -> None:
+        """`answers` are for `handshake.questions`; the joint stands at `standing_deg` (servo)."""
+        super().__init__(joint, robot, answers, window, standing_deg=standing_deg)
+        self.recording = Recording(window, float(ramp_setting_deg_s2(joint)), joint.speed_max_deg_s)
+        orders = handshake.session_orders([joint], answers)
+        orders += handshake.unconfirmed_orders([joint], answers)
+        self._dialogue = self._ask([*handshake.settings_queries([joint]), *orders])
+        self._plans: deque[TrialPlan] = deque()
+        self._planned = 0
+        self._droop_deg = 0.0
+
+    @property
+    def progress_ratio(self) -> float:
+        """The share of the trials that are over."""
+        return 1.0 - len(self._plans) / self._planned if self._planned else 0.0
+
+    def _prepared(self, now_ns: int) -> None:
+        self._take_answers()
+        probes = handshake.probes([self.joint], self._answers)
+        self._poller.watch(probes.get(self.joint.name, ()), now_ns)
+        self.state = ExperimentState.HOLD
+        self._has_moved = True
+        move = PlannedMove(0.0, self._standing_deg, HOLD_MS)
+        self._begin(TrialPlan(TrialKind.STEP, (move,), s_from_ms(HOLD_MS)), now_ns)
+
+    def _take(self, polled: PolledReading, now_ns: int) -> None:
+        self.recording.turnarounds_s.append(polled.turnaround_s)
+        super()._take(polled, now_ns)
+
+    def _trial_over(self, now_ns: int) -> None:
+        if self.error is None and self.state is ExperimentState.HOLD:
+            self._plan()
+            self._rested_deg = self._trial.rest_deg()
+        elif self.error is None:
+            self.recording.trials.append(self._trial)
+            self._check_arrival()
+            self._rested_deg = self._trial.rest_deg()
+            if self._trial.kind is TrialKind.FAST:
+                self._plan()
+        if self.error is not None:
+            return
+        if self._plans:
+            dither_s = DITHER_S * (GOLDEN_RATIO * len(self._plans) % 1.0)
+            self._begin(self._plans.popleft(), now_ns + ns_from_s(dither_s))
+        else:
+            self._restore()
+
+    def _plan(self) -> None:
+        """Plan all trials; after the fast ones, plan the remaining ones again."""
+        left = len(self._plans)
+        top_deg_s = math.inf
+        if self.state is ExperimentState.HOLD:
+            self._droop_deg = self._target_deg - self._trial.rest_deg()
+            self.state = ExperimentState.TRIALS
+        else:
+            top_deg_s = max(trial.fastest_deg_s() for trial in self.recording.trials)
+        try:
+            plans = make_trials(
+                self.joint,
+                self.window,
+                self._standing_deg,
+                droop_deg=self._droop_deg,
+                top_deg_s=top_deg_s,
+            )
+        except LssMotionError as error:
+            self.error = error
+            return
+        self._planned = len(plans)
+        self._plans = deque(plans[-left:])
+
+    def _check_arrival(self) -> None:
+        """Set the error if the horn did not move to its target."""
+        cause = not_arrived(
+            self.joint,
+            way_deg=abs(self._target_deg - self._trial.start_deg),
+            from_deg=self._rested_deg,
+            rest_deg=self._trial.rest_deg(),
+            target_deg=self._target_deg,
+        )
+        if cause:
+            self.error = self.error or self._fault(cause)

@@ -4,9 +4,9 @@ Model (`horn_deg`): a profile with two ramps, and a horn that follows it with a 
 each hypothesis of what `D…T…` means. Unlike `planning.program.response` it lets a command be taken
 up late, because the fit measures that. Angles are servo degrees, instants seconds of one trial.
 
-Fit (`Problem`): for a hypothesis, the two ramps, the lag, how far the load pulls the horn (a
-parabola over the angle), the play, and one delay for each command, because a servo takes a command
-up at its next control loop.
+Fit (`ResponseProblem`): for a hypothesis, the two ramps, the lag, how far the load pulls the horn
+(a parabola over the angle), the play, and one delay for each command, because a servo takes a
+command up at its next control loop.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class Rests(Struct, frozen=True):
     is_falling: bool = False
 
 
-class Shape(Struct, frozen=True):
+class ResponseShape(Struct, frozen=True):
     """Parameters of a motion: two ramps, the speed limit SD, the time constant of the lag."""
 
     accel_deg_s2: float
@@ -128,7 +128,7 @@ def horn_deg(
     start_deg: float,
     sent: Sequence[SentMove],
     delays_s: Sequence[float],
-    shape: Shape,
+    shape: ResponseShape,
     hypothesis: Hypothesis,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the horn's angle at `times_s`, and how far it is behind the profile there.
@@ -147,7 +147,7 @@ def _retargeted(
     points: list[_ProfilePoint],
     move: SentMove,
     taken_s: float,
-    shape: Shape,
+    shape: ResponseShape,
     hypothesis: Hypothesis,
 ) -> list[_ProfilePoint]:
     """Return the profile up to `taken_s`, and from there to the target of the move."""
@@ -173,7 +173,7 @@ def _retargeted(
 
 
 def _travel_deg_s(
-    distance_deg: float, duration_s: float, speed_deg_s: float, shape: Shape, t_law: str
+    distance_deg: float, duration_s: float, speed_deg_s: float, shape: ResponseShape, t_law: str
 ) -> float:
     """Return the speed that T demands: distance / T, or that of the trapezoid that lasts T.
 
@@ -199,7 +199,7 @@ def _move(
     speed_deg_s: float,
     target_deg: float,
     travel_deg_s: float,
-    shape: Shape,
+    shape: ResponseShape,
 ) -> list[_ProfilePoint]:
     """Return the phases of a move that ends at rest on `target_deg`.
 
@@ -329,7 +329,7 @@ class ModelFit(Struct, frozen=True):
     errors: tuple[float, ...]
 
 
-class Problem:
+class ResponseProblem:
     """The trials of one joint, to be fitted under any hypothesis.
 
     `rests` state whether there is play, and how it shows; its size is fitted, too.
@@ -398,7 +398,7 @@ class Problem:
         trial = self.trials[index]
         accel, decel, lag_s = np.exp(vector[:3])
         lag_s = max(float(lag_s), LAG_LEAST_S)
-        shape = Shape(float(accel), float(decel), self._speed_max_deg_s, lag_s)
+        shape = ResponseShape(float(accel), float(decel), self._speed_max_deg_s, lag_s)
         own = vector[self._starts[index] : self._starts[index + 1]]
         delays = own + (vector[DELAY] - lag_s)
         horn, behind = horn_deg(

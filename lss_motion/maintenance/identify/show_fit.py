@@ -32,7 +32,7 @@ from lss_motion.maintenance.identify.estimate import (
     Identified,
 )
 from lss_motion.maintenance.identify.response_fit import HYPOTHESES, Hypothesis, Measured
-from lss_motion.maintenance.identify.show_model import (
+from lss_motion.maintenance.identify.show_pieces import (
     DEAD,
     LAG,
     LOAD,
@@ -40,16 +40,17 @@ from lss_motion.maintenance.identify.show_model import (
     RAMP,
     SIZE,
     TOP,
+    Believed,
     ShowModel,
     Vectors,
+    cut,
+    too_little,
 )
-from lss_motion.maintenance.identify.show_pieces import Believed, cut, too_little
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.maintenance.identify.show_log import ShowRecording
-    from lss_motion.maintenance.identify.show_pieces import Pieces
+    from lss_motion.maintenance.identify.show_pieces import Pieces, ShowRecording
     from lss_motion.planning.program.response import FloatArray
     from lss_motion.robot.model import Joint
 

@@ -59,7 +59,7 @@ class SentMove(NamedTuple):
     duration_s: float
 
 
-class Kind(StrEnum):
+class TrialKind(StrEnum):
     """The purpose of a trial."""
 
     REACH = "reach"
@@ -80,13 +80,13 @@ class PlannedMove(Struct, frozen=True):
 class TrialPlan(Struct, frozen=True):
     """From rest to rest: one move, or two of which the second interrupts the first."""
 
-    kind: Kind
+    kind: TrialKind
     moves: tuple[PlannedMove, ...]
     end_s: float
     """The latest end of the servo's profile under every meaning of T, without lag."""
 
 
-class Window(Struct, frozen=True):
+class MotionWindow(Struct, frozen=True):
     """The range of the horn during an identification, in servo degrees."""
 
     low_deg: float
@@ -104,7 +104,7 @@ class Window(Struct, frozen=True):
 class Trial:
     """From rest to rest. Servo degrees; seconds since the trial began."""
 
-    kind: Kind
+    kind: TrialKind
     began_s: float
     """On the clock of the run."""
     start_deg: float
@@ -169,7 +169,7 @@ class Trial:
 class Recording:
     """All trials of one joint, and the reply latencies of its servo."""
 
-    window: Window
+    window: MotionWindow
     ramp_deg_s2: float
     """The setting of AA and AD."""
     speed_max_deg_s: float
@@ -179,7 +179,7 @@ class Recording:
     """From the end of each query to the start of its answer, at the host."""
 
 
-def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
+def make_window(joint: Joint, standing_deg: float, span_deg: float) -> MotionWindow:
     """Return the window of the horn: `span_deg` around `standing_deg`, inside the joint's range.
 
     Raises `InputError` where the joint stands outside its range or has no room to move.
@@ -197,7 +197,7 @@ def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
             f"joint {joint.name!r} stands at {at_deg:.1f} deg, outside its range of {allowed}; "
             f"move it inside by hand or with lss-motion send"
         )
-    window = Window(
+    window = MotionWindow(
         max(ends[0], standing_deg - span_deg),
         min(ends[1], standing_deg + span_deg),
     )
@@ -212,7 +212,7 @@ def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
 
 def make_trials(
     joint: Joint,
-    window: Window,
+    window: MotionWindow,
     standing_deg: float,
     *,
     droop_deg: float = 0.0,
@@ -263,26 +263,28 @@ class _Planner:
     def trials(self) -> Iterator[TrialPlan]:
         room_deg = self._high_deg - self._low_deg
         if abs(self._at_deg - self._low_deg) > LEAST_DEG:
-            yield self._single(Kind.REACH, self._low_deg, PAIR_RATIO * self._limit_deg_s(room_deg))
+            yield self._single(
+                TrialKind.REACH, self._low_deg, PAIR_RATIO * self._limit_deg_s(room_deg)
+            )
         self._at_deg = self._low_deg
         for target_deg in (self._high_deg, self._low_deg):
             yield self._fast(target_deg)
         for ratio in SWEEP_RATIOS:
             speed_deg_s = ratio * self._top_deg_s(room_deg)
-            yield self._single(Kind.SWEEP, self._high_deg, speed_deg_s)
-            yield self._single(Kind.SWEEP, self._low_deg, speed_deg_s)
+            yield self._single(TrialKind.SWEEP, self._high_deg, speed_deg_s)
+            yield self._single(TrialKind.SWEEP, self._low_deg, speed_deg_s)
         yield from self._steps(room_deg)
         yield from self._pairs(PAIR_RATIO * self._top_deg_s(room_deg), room_deg)
         if abs(self._at_deg - self._standing_deg) > LEAST_DEG:
             speed_deg_s = PAIR_RATIO * self._top_deg_s(0.5 * room_deg)
-            yield self._single(Kind.STEP, self._standing_deg, speed_deg_s)
+            yield self._single(TrialKind.STEP, self._standing_deg, speed_deg_s)
 
     def _steps(self, room_deg: float) -> Iterator[TrialPlan]:
         """Go up and down a stair: rest at every height, reached from below and from above."""
         speed_deg_s = STEP_RATIO * self._top_deg_s(room_deg / 4.0)
         for quarter in (1, 2, 3, 4, 3, 2, 1, 0):
             target_deg = self._low_deg + room_deg * quarter / 4.0
-            yield self._single(Kind.STEP, target_deg, speed_deg_s)
+            yield self._single(TrialKind.STEP, target_deg, speed_deg_s)
 
     def _pairs(self, speed_deg_s: float, room_deg: float) -> Iterator[TrialPlan]:
         """Interrupt moves: to go further, turn back, go faster, go slower; in both directions."""
@@ -309,7 +311,7 @@ class _Planner:
         duration_s = distance_deg / speed_deg_s + speed_deg_s / self._ramp_deg_s2
         return math.ceil(MS_PER_S * duration_s)
 
-    def _single(self, kind: Kind, target_deg: float, speed_deg_s: float) -> TrialPlan:
+    def _single(self, kind: TrialKind, target_deg: float, speed_deg_s: float) -> TrialPlan:
         duration_ms = self._duration_ms(abs(target_deg - self._at_deg), speed_deg_s)
         self._at_deg = target_deg
         move = PlannedMove(0.0, target_deg, duration_ms)
@@ -325,7 +327,7 @@ class _Planner:
         at_s = 0.5 * s_from_ms(first_ms)
         self._at_deg = second_deg
         return TrialPlan(
-            Kind.PAIR,
+            TrialKind.PAIR,
             (
                 PlannedMove(0.0, first_deg, first_ms),
                 PlannedMove(at_s, second_deg, second_ms),
@@ -341,7 +343,7 @@ class _Planner:
         longest_s = 2.0 * math.sqrt(distance_deg / self._ramp_deg_s2)
         move = PlannedMove(0.0, target_deg, duration_ms)
         ends_s = s_from_ms(duration_ms) + self._ramp_s(self._speed_max_deg_s)
-        return TrialPlan(Kind.FAST, (move,), max(longest_s, ends_s))
+        return TrialPlan(TrialKind.FAST, (move,), max(longest_s, ends_s))
 
     def _ramp_s(self, speed_deg_s: float) -> float:
         return speed_deg_s / self._ramp_deg_s2

@@ -212,8 +212,8 @@ def all_beats(trajectory: Trajectory, beats_s: Sequence[float], end_s: float) ->
 
 def _sounds(axis: Any, cues: Sequence[Cue], beats_s: FloatArray, end_s: float) -> None:  # noqa: ANN401
     """Draw the sounds of the show with their loudness, and its beats over them."""
-    from lss_motion.sound.spectra import Part
-    from lss_motion.sound.waveform import draw_beats, draw_waveform, waveform
+    from lss_motion.sound.envelope import draw_beats, draw_waveform, waveform
+    from lss_motion.sound.files import SoundPart
 
     axis.axis("on")
     problems = []
@@ -223,7 +223,7 @@ def _sounds(axis: Any, cues: Sequence[Cue], beats_s: FloatArray, end_s: float) -
             continue
         ratio = cue.style.speed_ratio
         try:
-            wave = waveform(Part(path=Path(cue.sound), to_s=lasts_s * ratio))
+            wave = waveform(SoundPart(path=Path(cue.sound), to_s=lasts_s * ratio))
         except InputError as error:
             problems.append(f"{Path(cue.sound).name} is not drawn: {error.reason}")
             continue
@@ -301,7 +301,7 @@ def _legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    from lss_motion.sound.waveform import BEAT, LEVEL
+    from lss_motion.sound.envelope import BEAT, LEVEL
 
     handles: list[Any] = [Line2D([], [], color=PLANNED, label="plan")]
     if has_horn:

@@ -11,8 +11,8 @@ import lss_motion as lss
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError, install_command
 from lss_motion.interchange.voice import Follow, VoiceStyle, _swells, fitted, voice_sequence
-from lss_motion.sound.envelope import Turn
-from lss_motion.sound.spectra import Part
+from lss_motion.sound.envelope import TurningPoint
+from lss_motion.sound.files import SoundPart
 from tests.speech import spoken
 
 soundfile = pytest.importorskip(
@@ -149,7 +149,9 @@ def test_neighbours_are_within_reach_and_nothing_is_given_up_without_need():
     rng = np.random.default_rng(7)
     times_s = np.cumsum(rng.uniform(0.05, 0.4, 60))
     ratios = np.where(np.arange(60) % 2, rng.uniform(0.3, 1.0, 60), 0.1)
-    turns = [Turn(at_s=at_s, ratio=ratio) for at_s, ratio in zip(times_s, ratios, strict=True)]
+    turns = [
+        TurningPoint(at_s=at_s, ratio=ratio) for at_s, ratio in zip(times_s, ratios, strict=True)
+    ]
     found_deg = fitted(turns, 25.0 * ratios, joint)
     reach_deg = np.minimum(300.0 * np.diff(times_s) ** 2, 240.0 * np.diff(times_s))
     assert (np.abs(np.diff(found_deg)) - reach_deg).max() < 0.01
@@ -190,6 +192,6 @@ def test_without_the_extra_the_command_that_installs_it_is_named(folder, capsys,
 
 def test_more_keys_than_a_file_may_have_are_refused_with_the_parts_to_import(folder, monkeypatch):
     monkeypatch.setattr("lss_motion.interchange.voice.KEYFRAMES_MAX", 5)
-    part, robot = Part(path=folder / "voice.wav"), lss.load_robot("robot.yaml")
+    part, robot = SoundPart(path=folder / "voice.wav"), lss.load_robot("robot.yaml")
     with pytest.raises(InputError, match=r"at most 5 are allowed; import it in parts .* --span"):
         voice_sequence(part, robot, "jaw", VoiceStyle(follow=Follow.SYLLABLES))

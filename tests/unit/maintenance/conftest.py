@@ -9,9 +9,8 @@ from lss_motion.playing import connection as connections
 from lss_motion.playing.connection import Connection
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, ServoModel
-from lss_motion.sim.bus import SimBus
+from lss_motion.sim.bus import SimBus, SimPort
 from lss_motion.sim.physics import Physics, ServoSpec
-from lss_motion.sim.port import SimPort
 from lss_motion.system.clock import VirtualClock
 
 MODELS = {

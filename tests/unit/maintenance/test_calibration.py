@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.maintenance.calibration import Frame, frame_of, moved_origin
+from lss_motion.maintenance.settings import Frame, frame_of, moved_origin
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.write import write_frames, write_pose
 

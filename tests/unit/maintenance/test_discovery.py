@@ -6,9 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE
-from lss_motion.maintenance import findings
-from lss_motion.maintenance.findings import starter_file
-from lss_motion.maintenance.survey import observed, roll_call, survey
+from lss_motion.maintenance import survey as report
+from lss_motion.maintenance.survey import observed, roll_call, starter_file, survey
 from lss_motion.playing.discovery import (
     is_doubtful,
     judge_answers,
@@ -85,7 +84,7 @@ def test_servos_are_found_at_their_own_rates(connected, spec):
         (7, 57600),
     ]
     assert connection.buses["main"].baud_bps == 115200
-    (said,) = findings.unreachable(connection.buses["main"], looks)
+    (said,) = report.unreachable(connection.buses["main"], looks)
     assert "servo 7 listens at 57600 bps, the others at 115200" in said
     assert "--baud 57600 --id 7 --new-baud 115200 --force" in said
 
@@ -135,7 +134,7 @@ def test_another_host_is_noticed_by_the_replies_that_it_causes(connected, spec, 
     assert looks[5].unasked > 0
     assert looks[6].unasked == 0
     assert not looks[5].identity.is_shared
-    (text,) = findings.warnings(list(looks.values()), "--port P")
+    (text,) = report.warnings(list(looks.values()), "--port P")
     assert "servo 5 sent" in text
     assert "another program or computer asks on this bus, or the servo sends by itself" in text
 
@@ -160,7 +159,7 @@ def test_a_shared_id_on_a_bus_that_another_host_disturbs_is_doubtful(connected, 
     looks = survey(connection, connection.buses["main"], 115200)
     doubtful = [look.servo_id for look in looks if look.identity.is_doubtful]
     assert ([look.servo_id for look in looks], doubtful) == ([5, 6, 9, 12], [9])
-    (text,) = findings.unreachable(connection.buses["main"], looks)
+    (text,) = report.unreachable(connection.buses["main"], looks)
     assert "id 9: its queries are regularly answered by unreadable bytes" in text
     assert "Stop the other host, then scan again" in text
 
@@ -242,7 +241,7 @@ def test_safe_mode_is_reported_with_its_cause_and_remedy(connected, spec):
     looks = survey(connection, connection.buses["main"], 115200)
     assert looks[0].status is Status.SAFE_MODE
     assert looks[0].cause is SafeModeCause.TEMPERATURE
-    safe, heat = findings.warnings(looks, "--port P")
+    safe, heat = report.warnings(looks, "--port P")
     assert "servo 5 is in safe mode (temperature): let it cool" in safe
     assert "lss-motion send --port P --id 5 RESET" in safe
     assert "servo 5 is hot" in heat
@@ -259,12 +258,10 @@ joints: {arm: {id: 1}, hand: {id: 2}, foot: {id: 3, model: LSS-HT1}}
     connection = connected(spec(1), spec(3), spec(9))
     bus = connection.buses["main"]
     looks = survey(connection, bus, 115200)
-    missing, other = findings.differences(robot, bus, looks)
+    missing, other = report.differences(robot, bus, looks)
     assert "joint 'hand': servo 2 does not answer" in missing
     assert "joint 'foot': servo 3 is an LSS-ST1, the robot file says LSS-HT1" in other
-    assert list(findings.unnamed(robot, bus, looks)) == [
-        "servo 9 (LSS-ST1) is not in the robot file"
-    ]
+    assert list(report.unnamed(robot, bus, looks)) == ["servo 9 (LSS-ST1) is not in the robot file"]
 
 
 def test_the_starter_is_a_robot_file_that_loads(connected, spec, tmp_path):

@@ -10,17 +10,21 @@ from msgspec.structs import replace
 
 from benches.identify import MODEL, blind, faults
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.maintenance.identify import summary
+from lss_motion.maintenance.identify import estimate
 from lss_motion.maintenance.identify.estimate import identify, read_rests
-from lss_motion.maintenance.identify.experiment import Experiment
-from lss_motion.maintenance.identify.joint_run import State
-from lss_motion.maintenance.identify.response_fit import HYPOTHESES, Hypothesis, Shape, horn_deg
+from lss_motion.maintenance.identify.joint_run import Experiment, ExperimentState
+from lss_motion.maintenance.identify.response_fit import (
+    HYPOTHESES,
+    Hypothesis,
+    ResponseShape,
+    horn_deg,
+)
 from lss_motion.maintenance.identify.trials import (
-    Kind,
+    MotionWindow,
     Recording,
     SentMove,
     Trial,
-    Window,
+    TrialKind,
     make_trials,
     make_window,
 )
@@ -29,15 +33,14 @@ from lss_motion.playing.player import checks, handshake
 from lss_motion.playing.runner import run
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.robot.profile import Profile
-from lss_motion.sim.bus import SimBus
+from lss_motion.sim.bus import SimBus, SimPort
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
-from lss_motion.sim.port import SimPort
 from lss_motion.system.clock import VirtualClock
 from tests.joints import joint
 
 JOINT = joint("elbow", 3, model=MODEL)
-RESTED_WINDOW = Window(-20.0, 20.0)
+RESTED_WINDOW = MotionWindow(-20.0, 20.0)
 RESTORED = {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600"}
 
 
@@ -145,14 +148,14 @@ def test_a_servo_too_weak_for_its_limit_is_reported_with_its_top_speed():
     assert found.is_top
     assert found.top_deg_s.value == pytest.approx(0.4 * 360.0, rel=0.1)
     assert any(
-        "lower it, or check the supply" in line for line in summary.difference_lines(found, joint)
+        "lower it, or check the supply" in line for line in estimate.difference_lines(found, joint)
     )
 
 
 @pytest.mark.slow
 def test_assumed_values_give_no_difference_and_unexplained_readings_are_refused():
     bench = Bench()
-    assert summary.difference_lines(bench.identified(), bench.joint) == []
+    assert estimate.difference_lines(bench.identified(), bench.joint) == []
     swinging = np.random.default_rng(0).normal(0.0, 3.0, 1000)
     for trial in bench.experiment.recording.trials:
         trial.readings_deg = (swinging[: len(trial.times_s)] + trial.readings_deg).tolist()
@@ -173,7 +176,7 @@ def test_ctrl_c_brakes_within_the_ramps_restores_and_holds():
     experiment = bench.run(controls=fast)
     assert experiment.is_stopped
     assert experiment.error is None
-    assert experiment.state is State.DONE
+    assert experiment.state is ExperimentState.DONE
     received = bench.lines()
     assert received[-1] == b"#3H"
     assert set(received[-5:-1]) == RESTORED
@@ -244,7 +247,7 @@ def test_a_blocked_horn_is_not_pushed_any_longer():
 
 def test_a_horn_that_leaves_its_window_is_stopped():
     bench = Bench()
-    bench.experiment.window = Window(9.0, 11.0)  # As if its load threw it out.
+    bench.experiment.window = MotionWindow(9.0, 11.0)  # As if its load threw it out.
     bench.experiment._plan = lambda: _plan_as_if(bench)
     experiment = bench.run()
     assert "was to stay within 9.0 to 11.0 deg" in str(experiment.error)
@@ -253,9 +256,9 @@ def test_a_horn_that_leaves_its_window_is_stopped():
 
 
 def _plan_as_if(bench):
-    bench.experiment.state = State.TRIALS
+    bench.experiment.state = ExperimentState.TRIALS
     if not bench.experiment._plans:
-        bench.experiment._plans.extend(make_trials(JOINT, Window(-10.0, 30.0), 10.0))
+        bench.experiment._plans.extend(make_trials(JOINT, MotionWindow(-10.0, 30.0), 10.0))
 
 
 def test_a_load_that_leaves_no_room_is_reported_before_any_trial():
@@ -283,7 +286,7 @@ def test_a_joint_without_room_is_refused_in_words(standing_deg, span_deg, text):
 
 def test_a_window_is_the_span_inside_the_range_also_for_a_turned_joint():
     turned = replace(JOINT, direction=-1, zero_deg=5.0, position_min_deg=-30.0)
-    assert make_window(turned, 30.0, 20.0) == Window(10.0, 35.0)
+    assert make_window(turned, 30.0, 20.0) == MotionWindow(10.0, 35.0)
 
 
 @pytest.mark.parametrize("hypothesis", HYPOTHESES)
@@ -298,7 +301,7 @@ def test_no_trial_leaves_the_window_or_the_limits_whatever_the_servo_is(
     at_deg = 12.0
     for ramp_ratio in (0.75, 1.3):
         for trial in make_trials(joint, window, at_deg):
-            shape = Shape(ramp_ratio * accel, ramp_ratio * accel, float(speed), 0.001)
+            shape = ResponseShape(ramp_ratio * accel, ramp_ratio * accel, float(speed), 0.001)
             orders = [SentMove(m.at_s, m.target_deg, m.duration_ms / 1e3) for m in trial.moves]
             times_s = np.arange(0.0, trial.end_s + 1.0, 0.001)
             delays = [0.0] * len(orders)
@@ -333,7 +336,7 @@ def test_the_fitted_model_moves_as_the_response_model_of_the_player(hypothesis):
         for order in orders:
             profile.retarget(*order)
         times_s = np.linspace(0.0, 3.0, 400)
-        shape = Shape(500.0, 500.0, 200.0, 1e-6)
+        shape = ResponseShape(500.0, 500.0, 200.0, 1e-6)
         horn, _ = horn_deg(times_s, 0.0, orders, [0.0, 0.0], shape, hypothesis)
         if hypothesis == Hypothesis("keep_speed", "exact") and _turns_back(horn, times_s, orders):
             continue  # What T means for a move that must first stop nobody says.
@@ -353,7 +356,7 @@ def _turns_back(horn, times_s, orders):
 
 def test_the_lag_of_the_fitted_model_is_that_of_a_slow_motor():
     order = SentMove(0.0, 20.0, 0.5)
-    shape = Shape(600.0, 600.0, 180.0, 0.05)
+    shape = ResponseShape(600.0, 600.0, 180.0, 0.05)
     times_s = np.arange(0.0, 2.0, 1e-4)
     horn, behind = horn_deg(times_s, 0.0, [order], [0.0], shape, HYPOTHESES[0])
     stiff, _ = horn_deg(times_s, 0.0, [order], [0.0], replace(shape, lag_s=1e-6), HYPOTHESES[0])
@@ -372,7 +375,7 @@ def rests(missing_deg, *, noise_deg=0.01):
         direction = np.sign(target_deg - at_deg)
         rest_deg = target_deg - missing_deg(target_deg, direction)
         readings = rest_deg + random.normal(0.0, noise_deg, 30)
-        trial = Trial(Kind.STEP, 0.0, at_deg, [SentMove(0.0, target_deg, 0.3)])
+        trial = Trial(TrialKind.STEP, 0.0, at_deg, [SentMove(0.0, target_deg, 0.3)])
         trial.times_s = [0.7 + 0.01 * index for index in range(30)]
         trial.readings_deg = readings.tolist()
         trials.append(trial)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.maintenance.backup import ServoBackup, robot_from_backup
+from lss_motion.maintenance.settings import ServoBackup, robot_from_backup
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import ask_limits, connect
 from lss_motion.playing.player.transactions import Item

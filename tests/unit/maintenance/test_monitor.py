@@ -121,7 +121,7 @@ def test_two_buses_do_not_wait_for_each_other(spec, connected):
     from msgspec.structs import replace
 
     from lss_motion.playing.connection import Connection
-    from lss_motion.sim.port import SimPort
+    from lss_motion.sim.bus import SimPort
 
     quick = connected(spec(1), baud_bps=500000)
     slow = connected(spec(2), baud_bps=9600)

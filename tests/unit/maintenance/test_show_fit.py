@@ -7,9 +7,9 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.maintenance.identify.response_fit import HYPOTHESES, Shape, horn_deg
+from lss_motion.maintenance.identify.response_fit import HYPOTHESES, ResponseShape, horn_deg
 from lss_motion.maintenance.identify.show_fit import identify_from_show
-from lss_motion.maintenance.identify.show_log import ShowRecording
+from lss_motion.maintenance.identify.show_pieces import ShowRecording
 from lss_motion.maintenance.identify.trials import SentMove
 from tests.virtual.conftest import make_robot
 
@@ -26,7 +26,7 @@ def recording_of(gap_s, phase_s: float) -> ShowRecording:
         now_s = round(now_s + gap_s(random), 4)
     waits_s = [(phase_s - move.received_s) % LOOP_S for move in sent]
     times_s = np.arange(0.03, now_s, 0.1)
-    shape = Shape(RAMP_DEG_S2, RAMP_DEG_S2, 200.0, LAG_S)
+    shape = ResponseShape(RAMP_DEG_S2, RAMP_DEG_S2, 200.0, LAG_S)
     truth_deg, _ = horn_deg(times_s, 0.0, sent, waits_s, shape, HYPOTHESES[0])
     noise_deg = [random.uniform(-0.1, 0.1) for _ in times_s]
     readings_deg = np.round(truth_deg + noise_deg, 1).tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.maintenance.scan_job import found_on
+from lss_motion.maintenance.survey import found_on
 from lss_motion.playing.api import load_robot
 from lss_motion.playing.connection import connect
 from lss_motion.sim.faults import Fault, FaultKind

@@ -7,8 +7,8 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.sim.blocks import BLOCK_NS
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.horns import BLOCK_NS
 from lss_motion.sim.physics import TICK_NS
 
 S = 1_000_000_000

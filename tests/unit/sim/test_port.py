@@ -1,9 +1,8 @@
 import pytest
 
 from lss_motion.errors import BlockedPortError, BusError
-from lss_motion.sim.bus import SimBus
+from lss_motion.sim.bus import SimBus, SimPort
 from lss_motion.sim.faults import Fault, FaultKind, SleepyClock
-from lss_motion.sim.port import SimPort
 from lss_motion.system.clock import VirtualClock
 
 S = 1_000_000_000

@@ -12,7 +12,7 @@ from benches.drums import RATE_HZ, Style, music, verdict
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.sound.beats import beats_of, every, half_shifted
-from lss_motion.sound.spectra import Part
+from lss_motion.sound.files import SoundPart
 
 soundfile = pytest.importorskip(
     "soundfile", reason="sound files: pip install 'lss-motion[sound]'", exc_type=ImportError
@@ -31,7 +31,7 @@ def written(folder, style, seconds=16.0):
     samples, true_s = music(style, seconds)
     path = folder / "song.wav"
     soundfile.write(path, np.clip(samples, -1.0, 1.0), RATE_HZ)
-    return Part(path=path), true_s
+    return SoundPart(path=path), true_s
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_every_second_beat_begins_with_the_one_nearest_to_a_time():
 def test_what_has_no_beats_is_refused(tmp_path, samples, said):
     soundfile.write(tmp_path / "a.wav", samples, RATE_HZ)
     with pytest.raises(InputError, match=said):
-        beats_of(Part(path=tmp_path / "a.wav"))
+        beats_of(SoundPart(path=tmp_path / "a.wav"))
 
 
 @pytest.fixture

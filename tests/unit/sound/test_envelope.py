@@ -16,7 +16,7 @@ from lss_motion.sound.envelope import (
     swell_keys,
     syllable_keys,
 )
-from lss_motion.sound.spectra import Part
+from lss_motion.sound.files import SoundPart
 from tests.speech import spoken
 
 soundfile = pytest.importorskip(
@@ -29,7 +29,7 @@ PEAKS_S = [0.3, 0.52, 0.71, 1.4, 1.66]
 def written(folder, samples, rate_hz=22_050, name="a.wav", **how):
     path = folder / name
     soundfile.write(path, samples, rate_hz, **how)
-    return Part(path=path)
+    return SoundPart(path=path)
 
 
 def turns_of(part, style=MouthStyle()):  # noqa: B008  (a frozen value)
@@ -68,15 +68,15 @@ def test_a_part_and_a_channel_are_analysed_alone(tmp_path):
     path = written(tmp_path, both).path
 
     def peaks_s(**part):
-        return [turn.at_s for turn in turns_of(Part(path=path, **part)) if turn.is_peak]
+        return [turn.at_s for turn in turns_of(SoundPart(path=path, **part)) if turn.is_peak]
 
     assert peaks_s(channel="left") == pytest.approx([0.3, 1.1], abs=0.006)
     assert peaks_s(channel=2) == pytest.approx([0.7], abs=0.006)
     assert peaks_s(from_s=0.5, to_s=1.6) == pytest.approx([0.2, 0.6], abs=0.006)
     with pytest.raises(InputError, match="has no channel 3; it has 2"):
-        loudness(Part(path=path, channel=3), BAND_HZ)
+        loudness(SoundPart(path=path, channel=3), BAND_HZ)
     with pytest.raises(InputError, match="has no sound from 2 s to its end: it is 1"):
-        loudness(Part(path=path, from_s=2.0), BAND_HZ)
+        loudness(SoundPart(path=path, from_s=2.0), BAND_HZ)
 
 
 def test_opening_and_closing_take_their_time_and_no_peak_moves():
@@ -125,7 +125,7 @@ def test_silence_is_refused_and_what_is_no_sound(tmp_path):
         loudness(written(tmp_path, np.zeros(4000)), BAND_HZ)
     (tmp_path / "b.wav").write_bytes(b"RIFF not a sound")
     with pytest.raises(InputError, match="is not a sound that can be read"):
-        loudness(Part(path=tmp_path / "b.wav"), BAND_HZ)
+        loudness(SoundPart(path=tmp_path / "b.wav"), BAND_HZ)
 
 
 def test_eight_channels_at_192_khz_take_no_more_memory_than_a_few_pieces(tmp_path):
@@ -134,9 +134,9 @@ def test_eight_channels_at_192_khz_take_no_more_memory_than_a_few_pieces(tmp_pat
     with soundfile.SoundFile(path, "w", 192_000, 8, subtype="PCM_16") as file:
         for _ in range(6):
             file.write(noise)
-    loudness(Part(path=path, to_s=0.1), BAND_HZ)  # Imports are none of it.
+    loudness(SoundPart(path=path, to_s=0.1), BAND_HZ)  # Imports are none of it.
     tracemalloc.start()
-    curve = loudness(Part(path=path, channel=8), BAND_HZ)
+    curve = loudness(SoundPart(path=path, channel=8), BAND_HZ)
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(curve.level) == 1201

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benches.sound import hour_off_s
-from lss_motion.sound.mixer import Mixer, Voice
-from lss_motion.sound.sources import Source
+from lss_motion.sound.mixer import Mixer, PrefetchedSound, Voice
 from lss_motion.system.clock_leg import ClockLeg
 
 soundfile = pytest.importorskip(
@@ -82,7 +81,7 @@ class Desk:
 
 def test_a_sound_is_placed_again_where_the_device_has_skipped_frames(tmp_path):
     """Without that the show would follow by 300 ppm, for half a minute."""
-    source = Source(wave_file(tmp_path, ramp(6.0)), RATE_HZ)
+    source = PrefetchedSound(wave_file(tmp_path, ramp(6.0)), RATE_HZ)
     desk = Desk(Voice(number=1, source=source, at_s=0.0, is_bed=True))
     desk.leg(0.0)
     desk.play(2.0)
@@ -101,7 +100,7 @@ def test_a_sound_is_placed_again_where_the_device_has_skipped_frames(tmp_path):
 
 
 def voice(path, at_s=0.0, **values):
-    return Voice(number=1, source=Source(path, RATE_HZ), at_s=at_s, **values)
+    return Voice(number=1, source=PrefetchedSound(path, RATE_HZ), at_s=at_s, **values)
 
 
 def test_the_first_frame_sounds_at_its_instant_with_its_full_strength(tmp_path):
