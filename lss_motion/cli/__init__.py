@@ -40,7 +40,7 @@ Shared by them:
 commands        the list of commands; declares them, loads the robot; all commands
 options         the options that several commands have, each once; all commands
 start           the entry points: signals are handled before anything heavy is imported
-messages        prints errors and lines; turns exceptions into exit codes; `main`, `play`, others
+messages        prints everything, escaped; turns exceptions into exit codes; all commands
 terminal        keys and signals during a run; `play`, `walk`, `identify`, `hands`
 consent         which Python functions a show may call; `play`
 careful         the careful run before a show, and what is learnt in it; `play`

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.cli.voices import channel_of
 from lss_motion.errors import EXIT_FINISHED, InputError
@@ -120,11 +121,11 @@ def _beats(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(_as_json(found, at_s))
     else:
-        print("\n".join(_lines(arguments, found, at_s)))
+        say("\n".join(_lines(arguments, found, at_s)))
     if arguments.into is not None:
         text = _into(arguments.into, at_s, is_anchored=arguments.anchors)
         replaced = "" if before is None else ", in place of those before"
-        print(f"{text}{replaced}", file=sys.stderr if arguments.json else None)
+        say(f"{text}{replaced}", sys.stderr if arguments.json else None)
     return EXIT_FINISHED
 
 

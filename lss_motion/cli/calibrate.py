@@ -56,7 +56,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    from lss_motion.files.source import known_names
+    from lss_motion.files.texts import known_names
     from lss_motion.playing.hands_on import HandsOn
 
     robot, joints = load(arguments)

@@ -15,11 +15,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeAlias
 
 from lss_motion import __version__
+from lss_motion.cli.messages import say
 from lss_motion.errors import InputError
+from lss_motion.files.texts import escaped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -86,7 +87,15 @@ Here, so that the list is printed without importing the modules of all commands.
 COMMANDS: Final = {name: row for group in COMMAND_GROUPS.values() for name, row in group.items()}
 
 
-class ProgramParser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors, which hold arguments, cannot steer the terminal."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with this message and the usage."""
+        super().error(escaped(message))
+
+
+class ProgramParser(Parser):
     """The parser of `lss-motion`: its help lists the commands by what a person wants."""
 
     def format_help(self) -> str:
@@ -107,7 +116,7 @@ class ProgramParser(argparse.ArgumentParser):
         return formatter.format_help()
 
 
-class CommandParser(argparse.ArgumentParser):
+class CommandParser(Parser):
     """The parser of one command: it refuses an unknown option with its own usage.
 
     argparse leaves that to the parser of the program, which shows the list of commands.
@@ -154,7 +163,7 @@ def add_version(parser: argparse.ArgumentParser) -> None:
 def require_joint(robot: Robot, name: str) -> None:
     """Raise `InputError`, with similar names, if the robot has no joint of this name."""
     if name not in robot.joints:
-        from lss_motion.files.source import known_names
+        from lss_motion.files.texts import known_names
 
         known = known_names(name, robot.joints)
         raise InputError(f"unknown joint {name!r}; {known}", path=robot.path)
@@ -171,7 +180,8 @@ def require_baud(option: str, rate_bps: int | None) -> None:
 
 def print_json(value: Any) -> None:  # noqa: ANN401  JSON
     """Print a value as JSON. A number that is not finite (an endless show) becomes null."""
-    sys.stdout.write(json.dumps(_finite(value), indent=2, ensure_ascii=False, default=str) + "\n")
+    text = json.dumps(_finite(value), indent=2, ensure_ascii=False, default=str)
+    say(escaped(text, as_json=True))
 
 
 def _finite(value: Any) -> Any:  # noqa: ANN401  JSON

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.messages import say
 from lss_motion.errors import EXIT_FINISHED
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def _completion(make_parsers: MakeParsers, arguments: argparse.Namespace) -> int
 
     for parser in make_parsers():
         _complete_files(parser)
-        print(shtab.complete(parser, arguments.shell))
+        say(shtab.complete(parser, arguments.shell))
     return EXIT_FINISHED
 
 

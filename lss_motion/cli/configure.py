@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command, require_baud, require_joint, robot_at
-from lss_motion.cli.messages import agrees, put
+from lss_motion.cli.messages import agrees, put, say
 from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -109,7 +109,7 @@ def _configure(arguments: argparse.Namespace) -> int:
     buses = {"main": _bus(arguments)} if robot is None else robot.buses
     with connect(buses, robot=robot) as connection:
         if connection.simulated:
-            print("The servos are simulated: they lose what is written when this command ends.")
+            say("The servos are simulated: they lose what is written when this command ends.")
         _note_other_hosts(connection)
         if arguments.new_id is not None:
             return _change_id(connection, arguments)
@@ -141,7 +141,7 @@ def _note_other_hosts(connection: Connection) -> None:
 
     for bus in connection.buses.values():
         for text in other_hosts(bus.port, observed(connection, bus.name)):
-            print(f"note: {text}")
+            say(f"note: {text}")
 
 
 def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
@@ -155,7 +155,7 @@ def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
     try:
         return agrees(question)
     except KeyboardInterrupt:
-        print("\nnothing was written")
+        say("\nnothing was written")
         raise
 
 
@@ -311,12 +311,12 @@ def _show(connection: Connection, targets: Sequence[Target], arguments: argparse
     found = read(connection, targets, is_session=arguments.session)
     is_whole = True
     for target in targets:
-        print(f"{target.name} (id {target.servo_id}, {target.model}):")
+        say(f"{target.name} (id {target.servo_id}, {target.model}):")
         for name, row in target.rows(is_session=arguments.session).items():
             is_whole = is_whole and name in found[target.name]
             value = found[target.name].get(name)
             shown = settings.value_text(row, value) if name in found[target.name] else "no reply"
-            print(f"  {name:10} {shown:16} {row.meaning}")
+            say(f"  {name:10} {shown:16} {row.meaning}")
     return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE
 
 
@@ -327,7 +327,7 @@ def _note_limits(connection: Connection, targets: Sequence[Target], robot: Robot
     joints = [robot.joints[target.name] for target in targets]
     excesses = stored_excesses(joints, connection.ask(stored_queries(joints)))
     if excesses:
-        print(
+        say(
             f"note: {len(excesses)} of {len(joints)} servos store higher limits than their joints "
             f"have, with which they would restart. --limits stores those of the joints: "
             f"{excesses[0]}"
@@ -347,9 +347,9 @@ def _apply(
     is_session = arguments.session
     needed = servo_settings.differing(connection, targets, wanted, is_session=is_session)
     if not needed:
-        print(f"nothing to write: {len(targets)} servos have these settings already")
+        say(f"nothing to write: {len(targets)} servos have these settings already")
         return EXIT_FINISHED
-    print("\n".join(map(str, needed)))
+    say("\n".join(map(str, needed)))
     dangers = {
         text
         for change in needed
@@ -361,13 +361,13 @@ def _apply(
         return EXIT_FINISHED
     limp = {c.target.name for c in needed if settings.goes_limp(c, is_session=is_session)}
     if limp:
-        print(f"These go limp meanwhile: {', '.join(sorted(limp))}. Support their load.")
+        say(f"These go limp meanwhile: {', '.join(sorted(limp))}. Support their load.")
     if not _is_agreed(arguments, f"Write {len(needed)} settings?"):
-        print("nothing was written")
+        say("nothing was written")
         return EXIT_FINISHED
     with _writing("some may have their new settings, others not. Give the same command again"):
         done = servo_settings.write(connection, targets, wanted, is_session=is_session)
-    print(f"written and read back: {len(done)} settings")
+    say(f"written and read back: {len(done)} settings")
     return EXIT_FINISHED
 
 
@@ -382,11 +382,11 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
     if old_id == new_id:
         raise InputError(f"it has id {old_id} already")
     (present,) = servo_settings.servos_at(connection, bus, [old_id])
-    print(f"{present.model}: id {old_id} → {new_id}")
+    say(f"{present.model}: id {old_id} → {new_id}")
     if arguments.dry_run or not _is_agreed(
         arguments, f"Restart the servo with id {old_id} as {new_id}?"
     ):
-        print("nothing was written")
+        say("nothing was written")
         return EXIT_FINISHED
     with _writing(
         f"the {present.model} may have id {old_id} or {new_id}, and takes {new_id} when it is "
@@ -395,7 +395,7 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
     ):
         present = servo_settings.change_id(connection, bus, old_id, new_id)
     number = f", serial number {present.serial_number}" if present.serial_number else ""
-    print(f"the {present.model}{number} now has id {new_id}")
+    say(f"the {present.model}{number} now has id {new_id}")
     return EXIT_FINISHED
 
 
@@ -442,12 +442,12 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
             f"servo {', '.join(left)} would stay at {bus.baud_bps} bps, but a bus has one "
             f"rate. Leave --id out to change all, or add --force"
         )
-    print(
+    say(
         f"{len(chosen)} ids go from {bus.baud_bps} to {rate_bps} bps; "
         f"the servos are limp meanwhile."
     )
     if arguments.dry_run or not _is_agreed(arguments, "Go on?"):
-        print("nothing was written")
+        say("nothing was written")
         return EXIT_FINISHED
     with _writing(
         f"some servos may be at {bus.baud_bps} bps, others at {rate_bps}. `lss-motion scan "
@@ -456,9 +456,9 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
         lost = servo_settings.change_baud(connection, bus.name, chosen, rate_bps)
     if lost:
         listed = ", ".join(map(str, lost))
-        print(f"servo {listed} does not reply at {rate_bps} bps; see `lss-motion scan {bus.port}`")
+        say(f"servo {listed} does not reply at {rate_bps} bps; see `lss-motion scan {bus.port}`")
         return EXIT_UNREACHABLE
-    print(f"all servos reply at {rate_bps} bps; write `baud_bps: {rate_bps}` into the robot file")
+    say(f"all servos reply at {rate_bps} bps; write `baud_bps: {rate_bps}` into the robot file")
     return EXIT_FINISHED
 
 
@@ -498,7 +498,7 @@ def _back_up(
         raise BusError("a servo stopped replying while its settings were read; try again")
     write_output(path, backup_text(servos))
     count = sum(len(kept.settings) for kept in servos)
-    print(f"wrote {path}: {count} settings of {len(servos)} servos")
+    say(f"wrote {path}: {count} settings of {len(servos)} servos")
     return EXIT_FINISHED
 
 
@@ -525,11 +525,11 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
         targets.append(target)
         wanted[target.name] = kept.settings
     for target, servo_id in moves:
-        print(f"{target.model}: id {target.servo_id} → {servo_id}")
+        say(f"{target.model}: id {target.servo_id} → {servo_id}")
     if moves and (
         arguments.dry_run or not _is_agreed(arguments, f"Give {len(moves)} servos their ids?")
     ):
-        print("nothing was written")
+        say("nothing was written")
         return EXIT_FINISHED
     for target, servo_id in moves:
         with _writing("some servos may have their ids, others not. Give the same command again"):

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.messages import agrees, put
 from lss_motion.errors import InputError
 from lss_motion.files.output import state_directory, write_output
-from lss_motion.files.source import counted, read_data
+from lss_motion.files.source import read_data
+from lss_motion.files.texts import counted
 from lss_motion.show.functions import calls_of
 
 if TYPE_CHECKING:

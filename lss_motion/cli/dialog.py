@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
-from lss_motion.files.source import aligned
+from lss_motion.files.texts import aligned
 from lss_motion.playing.player.events import (
     Checked,
     CueReached,

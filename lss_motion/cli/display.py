@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
 
+from lss_motion.cli.messages import put, shown
 from lss_motion.cli.terminal import KEYS_HELP
+from lss_motion.files.texts import escaped
 from lss_motion.playing.player.events import Phase
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.process import ChildProcess
@@ -82,7 +84,7 @@ class Display:
     """
 
     def __init__(
-        self, keys_help: str = KEYS_HELP, *, print_line: Callable[[str], None] = print
+        self, keys_help: str = KEYS_HELP, *, print_line: Callable[[str], None] = put
     ) -> None:
         self._keys_help = keys_help
         self._print_line = print_line
@@ -224,23 +226,23 @@ def rendered(frame: DisplayFrame, notes: list[str], keys_help: str, width: int) 
     marks = Text()
     for at_s, label in frame.marks:
         style = "bold green" if at_s <= show_s else ""
-        marks.append(f"{label} {at_s:.1f} s", style=style).append("   ")
+        marks.append(f"{escaped(label)} {at_s:.1f} s", style=style).append("   ")
     used = ", ".join(
         f"{bus} {share:.0%} sent, {replies_hz} replies/s"
         for bus, (share, replies_hz) in frame.buses.items()
     )
     timing = f"late {frame.late_us / US_PER_MS:.1f} ms at most"
-    shown = [_note_text(note) for note in notes[-NOTES_SHOWN:]]
+    latest = [_note_text(note) for note in notes[-NOTES_SHOWN:]]
     return Group(
-        Text(head, style="bold"),
+        shown(head, style="bold"),
         # The bar itself does not end its line.
         Padding(bar, (0, 0, 0, 0)),
         marks,
-        Text(f"{used}   {timing}").append(
+        shown(f"{used}   {timing}").append(
             f"   {frame.missed} missed", style="bold red" if frame.missed else ""
         ),
-        Text(keys_help, style="dim"),
-        *shown,
+        shown(keys_help, style="dim"),
+        *latest,
         _table(frame.joints, width),
     )
 
@@ -251,14 +253,12 @@ def is_trouble(note: str) -> bool:
 
 
 def _note_text(note: str) -> Text:
-    from rich.text import Text
 
-    return Text(note, style="bold yellow" if is_trouble(note) else "dim")
+    return shown(note, style="bold yellow" if is_trouble(note) else "dim")
 
 
 def _table(joints: list[list[Any]], width: int) -> Table:
     from rich.table import Table
-    from rich.text import Text
 
     rows = []
     for name, target, measured, error, allowed, offset, status, celsius in joints:
@@ -274,7 +274,7 @@ def _table(joints: list[list[Any]], width: int) -> Table:
             "-" if celsius is None else f"{celsius:.0f}",
         )
         styles = {"error": style}
-        rows.append({t: Text(c, styles.get(t, "")) for t, c in zip(TITLES, cells, strict=True)})
+        rows.append({t: shown(c, styles.get(t, "")) for t, c in zip(TITLES, cells, strict=True)})
     needed = {title: max(len(title), *(len(row[title]) for row in rows), 0) for title in TITLES}
     for title in HIDDEN_FIRST:
         if sum(needed.values()) + GAP_CHARS * (len(needed) - 1) > width:

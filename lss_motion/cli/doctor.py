@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec import to_builtins
 
 from lss_motion.cli.commands import add_command, print_json, robot_at
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import (
     EXIT_FINISHED,
@@ -17,7 +18,7 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
-from lss_motion.files.source import aligned
+from lss_motion.files.texts import aligned
 
 if TYPE_CHECKING:
     import argparse
@@ -98,9 +99,9 @@ def _doctor(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({"findings": to_builtins(findings)})
     for finding in [] if arguments.json else findings:
-        print(f"{finding.level:4}  {finding.subject:{width}}  {finding.text}")
+        say(f"{finding.level:4}  {finding.subject:{width}}  {finding.text}")
         if finding.fix:
-            print(f"{'':6}{'':{width}}  → {finding.fix}")
+            say(f"{'':6}{'':{width}}  → {finding.fix}")
     bad = {finding.subject for finding in findings if finding.level is Level.BAD}
     if not bad:
         return EXIT_FINISHED
@@ -145,7 +146,7 @@ def _stage(arguments: argparse.Namespace) -> int:
     else:
         cells = [(f"{row['level']:4}", row["figure"], row["subject"], row["text"]) for row in rows]
         for line in aligned(cells):
-            print(line)
+            say(line)
     return EXIT_UNREACHABLE if any(row["level"] == "bad" for row in rows) else EXIT_FINISHED
 
 
@@ -216,10 +217,10 @@ def _devices(arguments: argparse.Namespace) -> int:
     width = max((len(device.name) for device in found), default=0)
     for device in found:
         mark = "*" if device.is_default else " "
-        print(
+        say(
             f"{mark} {device.name:{width}}  {device.channels:2} channels  {device.rate_hz:6} Hz  "
             f"{1000.0 * device.latency_s:5.1f} ms  {device.driver}"
         )
     if not found:
-        print("this computer has no sound device; connect one, or start its sound server")
+        say("this computer has no sound device; connect one, or start its sound server")
     return EXIT_FINISHED

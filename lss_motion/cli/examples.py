@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import FORCE_REMEDY, write_output
@@ -58,17 +59,17 @@ def _example(arguments: argparse.Namespace) -> int:
     if arguments.name is None:
         width = max(map(len, names))
         for name in names:
-            print(f"{name:{width}}  {_summary(_file(name))}")
+            say(f"{name:{width}}  {_summary(_file(name))}")
         return EXIT_FINISHED
     name = arguments.name.removesuffix(".yaml")
     if name not in names:
-        from lss_motion.files.source import known_names
+        from lss_motion.files.texts import known_names
 
         raise InputError(f"unknown example {arguments.name!r}; {known_names(name, names)}")
     for path in write_example(name, Path(), is_forced=arguments.force):
-        print(f"wrote {path}")
+        say(f"wrote {path}")
     for line in _commands(name):
-        print(line)
+        say(line)
     return EXIT_FINISHED
 
 

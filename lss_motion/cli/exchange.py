@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import TOLERANCE_MAX_DEG, add_command, reader
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.cli.voices import (
     LABEL_TEXT,
@@ -19,7 +20,7 @@ from lss_motion.cli.voices import (
 )
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
     import argparse
@@ -226,7 +227,7 @@ def _import(arguments: argparse.Namespace) -> int:
     require_no_labels(arguments)
     if arguments.make_map is not None:
         write_output(arguments.make_map, map_template(motion, robot))
-        print(f"{arguments.make_map}: {counted(motion.channels, 'joint')}; edit it, then use --map")
+        say(f"{arguments.make_map}: {counted(motion.channels, 'joint')}; edit it, then use --map")
         return EXIT_FINISHED
     made = imported(
         motion,
@@ -241,9 +242,9 @@ def _import(arguments: argparse.Namespace) -> int:
     fit = [] if made.fit is None else [fit_text(made.fit)]
     write_sequence(made.sequence, arguments.output, comments=[*made.comments, *fit])
     keyframes = counted(made.sequence.keyframes, "keyframe")
-    print(f"{arguments.output}: {keyframes} from {arguments.file}")
-    print("\n".join([*made.comments, *fit]))
-    print("\n".join(plan_lines(plan(made.sequence, robot), robot)))
+    say(f"{arguments.output}: {keyframes} from {arguments.file}")
+    say("\n".join([*made.comments, *fit]))
+    say("\n".join(plan_lines(plan(made.sequence, robot), robot)))
     return EXIT_FINISHED
 
 
@@ -270,7 +271,7 @@ def _export(arguments: argparse.Namespace) -> int:
         shows.require_program_suffix(output)
         show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
         write_output(output, to_text(show.program, folder=output.absolute().parent))
-        print(f"{output}: {len(show.program.moves)} commands")
+        say(f"{output}: {len(show.program.moves)} commands")
         return EXIT_FINISHED
     if format_name == SKETCH:
         show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
@@ -286,7 +287,7 @@ def _export(arguments: argparse.Namespace) -> int:
     shows.require_rows(trajectory, arguments.rate_hz)
     samples = sampled(trajectory, arguments.rate_hz)
     write_output(output, exported(samples, format_name))
-    print(f"{output}: {len(samples.times_s)} samples of {len(samples.joints)} joints")
+    say(f"{output}: {len(samples.times_s)} samples of {len(samples.joints)} joints")
     return EXIT_FINISHED
 
 
@@ -301,7 +302,7 @@ def _write_mcap(
     read = read_log(log)
     robot = logged_robot(read, read_robot) if robot_path is None else read_robot(robot_path)
     write_output(output, mcap_of_log(read.lines, robot))
-    print(f"{output}: {len(read.lines)} lines of {log}")
+    say(f"{output}: {len(read.lines)} lines of {log}")
 
 
 def _write_sketch(show: Show, output: Path) -> None:
@@ -314,11 +315,11 @@ def _write_sketch(show: Show, output: Path) -> None:
     header = output.with_name(header_name(output))
     write_output(header, made.header)
     write_output(output, made.sketch)
-    print(f"{output}, {header.name}: {len(show.program.moves)} commands")
+    say(f"{output}, {header.name}: {len(show.program.moves)} commands")
     for text in (*(f"Not carried over: {text}" for text in made.left_out), *made.notes):
-        print(text)
+        say(text)
     if output.absolute().parent.name != output.stem:
-        print(f"the Arduino IDE opens it in a folder named {output.stem}")
+        say(f"the Arduino IDE opens it in a folder named {output.stem}")
 
 
 def sampled(trajectory: Trajectory, rate_hz: float) -> Samples:

@@ -81,10 +81,10 @@ class Screen:
         self._next_ns = 0
         self._drawn_count = 0
 
-    def print(self, text: str) -> None:
+    def print(self, text: str, *, beeps: bool = False) -> None:
         """Print a line that stays, above the drawn lines."""
         self._clear()
-        put(text)
+        put(text, control="\a" if beeps else "")
 
     def show(self, lines: Sequence[str], now_ns: int) -> None:
         """Replace the drawn lines, if a new frame is due."""
@@ -97,7 +97,7 @@ class Screen:
 
     def _clear(self) -> None:
         if self._drawn_count:
-            put(f"\x1b[{self._drawn_count}A\x1b[J", sys.stderr, end="")
+            put("", sys.stderr, end="", control=f"\x1b[{self._drawn_count}A\x1b[J")
         self._drawn_count = 0
 
 
@@ -180,9 +180,9 @@ class HandsControls(Inputs, ABC):
     def lines(self, hands_on: HandsOn, now_ns: int) -> Sequence[str]:
         """Return the lines to draw."""
 
-    def print(self, text: str) -> None:
+    def print(self, text: str, *, beeps: bool = False) -> None:
         """Print a line that stays on the screen."""
-        self._screen.print(text)
+        self._screen.print(text, beeps=beeps)
 
     def print_event(self, event: Event) -> None:
         """Print a warning or a fault; other events are not shown."""
@@ -233,7 +233,7 @@ def chosen_joints(robot: Robot, names: Iterable[str] | None) -> list[str]:
     chosen: set[str] = set()
     for name in names:
         if name not in robot.joints and name not in robot.groups:
-            from lss_motion.files.source import known_names
+            from lss_motion.files.texts import known_names
 
             known = known_names(name, [*robot.joints, *robot.groups])
             raise InputError(f"unknown joint or group {name!r}; {known}", path=robot.path)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
-from lss_motion.cli.messages import StepLine, agrees, ended_by
+from lss_motion.cli.messages import StepLine, agrees, ended_by, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import (
     EXIT_FINISHED,
@@ -108,20 +108,20 @@ def _identify(arguments: argparse.Namespace) -> int:
     simulated = is_simulated(robot)
     _check(arguments, simulated=simulated)
     if simulated:
-        print(SIMULATED_NOTE)
+        say(SIMULATED_NOTE)
     buses = {name: robot.buses[name] for name in {joint.bus for joint in joints}}
     clock = VirtualClock() if arguments.virtual else MonotonicClock()
     with connect(buses, robot=robot, clock=clock, seed=arguments.seed) as connection:
         _announce(connection, robot, joints, span_deg)
         if not (simulated or arguments.yes or agrees(BEGIN)):
-            print("nothing was moved")
+            say("nothing was moved")
             return EXIT_INTERRUPTED
         with Terminal() as terminal:
             path = arguments.robot
             for joint in joints:
                 experiment = _measured(connection, robot, joint, span_deg, terminal)
                 if experiment.is_stopped:
-                    print(f"{joint.name}: stopped; nothing was measured", file=sys.stderr)
+                    say(f"{joint.name}: stopped; nothing was measured", sys.stderr)
                     return ended_by(terminal.signal_number)
                 _conclude(arguments, path, joint, experiment)
                 path = path if arguments.no_write else arguments.output or path
@@ -150,12 +150,12 @@ def _from_log(arguments: argparse.Namespace) -> int:
     for name in dict.fromkeys(arguments.joints or robot.joints):
         require_joint(robot, name)
         if name not in found:
-            print(f"  joint {name!r} is not in this log")
+            say(f"  joint {name!r} is not in this log")
             continue
         try:
             result = identify_from_show(found[name])
         except PlaybackError as error:
-            print(f"  {error}: {robot.identify_command(name)}")
+            say(f"  {error}: {robot.identify_command(name)}")
             continue
         how = f"from {arguments.log.name}, "
         _write(arguments, path, robot.joints[name], result, how, robot.identify_command(name))
@@ -240,14 +240,14 @@ def _announce(
 
     answers, warnings = connection.examined(joints, robot)
     for text in warnings:
-        print(f"warning: {text}", file=sys.stderr)
+        say(f"warning: {text}", sys.stderr)
     for joint in joints:
         standing_deg = handshake.reported(joint, answers, "QD")
         assert standing_deg is not None, "`examined` raises without it"
         window = make_window(joint, standing_deg, span_deg)
         low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
         lasts_s = estimated_duration_s(make_trials(joint, window, standing_deg))
-        print(
+        say(
             f"{joint.name} (servo {joint.servo_id}) stands at {joint.joint_deg(standing_deg):.1f} "
             f"deg and will move between {low:.1f} and {high:.1f} deg for about {lasts_s:.0f} s, at "
             f"most at {joint.speed_max_deg_s:g} deg/s"
@@ -309,24 +309,24 @@ def _write(
     from lss_motion.robot.write import write_response
 
     for line in estimate.summary_lines(found):
-        print(line)
+        say(line)
     differences = estimate.difference_lines(found, joint)
-    print(
+    say(
         f"{joint.name} differs from the assumptions of the robot file:"
         if differences
         else f"{joint.name} matches the assumptions of the robot file"
     )
     for line in differences:
-        print(f"  - {line}")
+        say(f"  - {line}")
     if experiment and (left_open := estimate.left_open(found)):
-        print(f"  - {', '.join(left_open)}: an experiment tells more: {experiment}")
+        say(f"  - {', '.join(left_open)}: an experiment tells more: {experiment}")
     if arguments.no_write:
         return
     values = estimate.response_values(found, joint)
     if not values:
-        print(f"{joint.name}: nothing is known well enough to be written")
+        say(f"{joint.name}: nothing is known well enough to be written")
         return
     comments = estimate.comment_lines(found, how + datetime.now(tz=UTC).date().isoformat())
     output = arguments.output or path
     write_response(path, joint.name, values, comments, output=output)
-    print(f"{joint.name}: written to {output}", flush=True)
+    say(f"{joint.name}: written to {output}")

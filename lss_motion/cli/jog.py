@@ -131,7 +131,8 @@ class JogControls(HandsControls):
         self._target_deg[name] = target_deg
         if target_deg != desired_deg:
             low, high = joint.position_min_deg, joint.position_max_deg
-            self.print(f"\a{name} ends at {target_deg:g} deg; its range is {low:g} to {high:g}")
+            text = f"{name} ends at {target_deg:g} deg; its range is {low:g} to {high:g}"
+            self.print(text, beeps=True)
 
     def _keep(self, hands_on: HandsOn) -> None:
         """Write the angles of all joints into the robot file, under an unused name."""

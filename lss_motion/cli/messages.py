@@ -1,7 +1,9 @@
 """Text for people: errors as one line and an exit code, and lines while a robot moves.
 
 A command raises `LssMotionError` for everything that a user can cause; `guarded` prints it without
-a traceback. No output can stop or delay a moving robot: `put` never raises, `Printer` never waits.
+a traceback. `say` prints, and nothing else does: no text from a file, a servo or another computer
+reaches the terminal as it came. No output can stop or delay a moving robot: `put` never raises,
+`Printer` never waits.
 """
 
 from __future__ import annotations
@@ -19,11 +21,14 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
+from lss_motion.files.texts import escaped
 from lss_motion.system.reactor import wait_for
 from lss_motion.system.signals import exit_code, redirect_to_null
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from rich.text import Text
 
 _PLACE: Final = re.compile(r"\S+:\d+: ")
 """`file:line: ` at the start of a message: it replaces the name of the program."""
@@ -76,15 +81,23 @@ def ended_by(signal_number: int | None) -> int:
     return EXIT_INTERRUPTED if signal_number is None else EXIT_OF_SIGNAL + signal_number
 
 
-def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
-    """Print to `stream`, or to standard output. Never raises `OSError`.
+def say(text: str, stream: TextIO | None = None, *, end: str = "\n", control: str = "") -> None:
+    """Print to `stream`, or to standard output; raises `OSError` if it cannot be written.
+
+    What would steer a terminal is printed as an escape, except `control`, which comes first.
+    """
+    print(control + escaped(text), end=end, file=stream or sys.stdout, flush=True)
+
+
+def put(text: str, stream: TextIO | None = None, *, end: str = "\n", control: str = "") -> None:
+    """Print as `say`, while a robot may move: never raises `OSError`.
 
     A stream that fails (a full disk, a closed terminal) is redirected to the null device. If it is
     standard output, a warning goes to standard error.
     """
     stream = stream or sys.stdout
     try:
-        print(text, end=end, file=stream, flush=True)
+        say(text, stream, end=end, control=control)
     except OSError as error:
         redirect_to_null(stream)
         if stream is sys.stdout:
@@ -93,6 +106,13 @@ def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
                 "the run goes on without it",
                 sys.stderr,
             )
+
+
+def shown(text: str, style: str = "") -> Text:
+    """Return the same text for rich, which draws tables and displays."""
+    from rich.text import Text
+
+    return Text(escaped(text), style)
 
 
 def agrees(question: str, stream: TextIO | None = None) -> bool:
@@ -112,7 +132,7 @@ class StepLine:
         """Show a step; an empty one clears the line."""
         if self._is_shown and text != self._text:
             self._text = text
-            put(f"\r\x1b[K{text}", sys.stderr, end="")
+            put(text, sys.stderr, end="", control="\r\x1b[K")
 
 
 def discard(text: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, robot_at
-from lss_motion.cli.messages import put
+from lss_motion.cli.messages import put, say, shown
 from lss_motion.cli.options import add_options, add_robot, number_from
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -104,7 +104,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
         table = None if arguments.csv is None else stack.enter_context(_open(arguments.csv))
         connection = stack.enter_context(connect(buses, robot=robot))
         if connection.simulated:
-            print(SIMULATED_NOTE)
+            say(SIMULATED_NOTE)
         watch = Watch(_with_firmware(connection, _targets(connection, robot)), connection.buses)
         screen = stack.enter_context(
             Screen(watch, alarms, every_s=arguments.every, is_quiet=arguments.quiet)
@@ -253,9 +253,9 @@ class Screen:
         """Print new alarms; draw the table or print lines, if they are due."""
         for text in self._alarms.update(self._watch.readings, self._watch.disturbed):
             if not self._is_quiet:
-                print("\a", end="", file=sys.stderr, flush=True)
+                say("", sys.stderr, end="", control="\a")
             if not self._is_live:
-                print(f"{s_from_ns(now_ns - started_ns):7.1f} s  ALARM  {text}", flush=True)
+                say(f"{s_from_ns(now_ns - started_ns):7.1f} s  ALARM  {text}")
         if now_ns < self._next_ns:
             return
         self._next_ns = now_ns + self._every_ns
@@ -263,7 +263,7 @@ class Screen:
         if self._is_live:
             self._live.update(rendered(self._watch, self._alarms, elapsed_s), refresh=True)
         elif elapsed_s >= SETTLED_S or self._watch.has_asked_all:
-            print("\n".join(_lines(self._watch.readings, elapsed_s)), flush=True)
+            say("\n".join(_lines(self._watch.readings, elapsed_s)))
         else:
             self._next_ns = now_ns
 
@@ -316,7 +316,6 @@ def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
     """Return the table, the alarms and a foot line for rich."""
     from rich.console import Group
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, pad_edge=False)
     for title in ("servo", "id"):
@@ -327,7 +326,7 @@ def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
     for reading in watch.readings:
         name = reading.target.name
         table.add_row(
-            Text(name, style="red" if name in wrong else ""),
+            shown(name, style="red" if name in wrong else ""),
             str(reading.target.servo_id),
             *_cells(reading),
         )
@@ -335,8 +334,8 @@ def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
         f"{name} {rounds / max(elapsed_s, 0.1):.0f} rounds/s"
         for name, rounds in watch.rounds.items()
     )
-    notes = [Text(text, style="red") for text in alarms.active.values()]
-    foot = Text(f"{elapsed_s:.0f} s   {rates}   Ctrl-C ends", style="dim")
+    notes = [shown(text, style="red") for text in alarms.active.values()]
+    foot = shown(f"{elapsed_s:.0f} s   {rates}   Ctrl-C ends", style="dim")
     return Group(table, *notes, foot)
 
 

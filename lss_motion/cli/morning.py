@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -49,7 +50,7 @@ def _morning(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(as_json(night))
     else:
-        print("\n".join(text_of(night)))
+        say("\n".join(text_of(night)))
     return EXIT_FINISHED
 
 

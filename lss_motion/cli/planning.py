@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command, prepared, print_json, reader
-from lss_motion.cli.messages import StepLine
+from lss_motion.cli.messages import StepLine, say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -156,7 +155,7 @@ def _check(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print_json(robot_as_json(robot))
         else:
-            print("\n".join(robot_lines(robot)))
+            say("\n".join(robot_lines(robot)))
         return EXIT_FINISHED
     if is_stage_file(arguments.file):
         return _check_stage(arguments)
@@ -174,11 +173,11 @@ def _check(arguments: argparse.Namespace) -> int:
         lines = gait_lines(gait, passages)
     if not arguments.json:
         lines += program_lines(show, is_whole=arguments.all)
-        print("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]), flush=True)
+        say("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]))
         if arguments.robust:
             from lss_motion.playing.robustness import robust_lines
 
-            print("\n".join(["", *robust_lines(_trials(show), show.program.duration_s)]))
+            say("\n".join(["", *robust_lines(_trials(show), show.program.duration_s)]))
         return EXIT_FINISHED
     found = show_as_json(show)
     if arguments.robust:
@@ -213,7 +212,7 @@ def _check_stage(arguments: argparse.Namespace) -> int:
         return EXIT_FINISHED
     for figure, one in planned.items():
         heading = [] if figure is None else [figure]
-        print("\n".join([*heading, *stage_lines(one)]), flush=True)
+        say("\n".join([*heading, *stage_lines(one)]))
     return EXIT_FINISHED
 
 
@@ -251,7 +250,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
         horn = None if arguments.truth is None else read_table(arguments.truth, trajectory.joints)
         plot(trajectory, robot, arguments.plot, horn=horn, beats_s=sequence.beats_s)
-    print("\n".join(plan_lines(trajectory, robot, is_whole=arguments.all)))
+    say("\n".join(plan_lines(trajectory, robot, is_whole=arguments.all)))
     return EXIT_FINISHED
 
 
@@ -266,11 +265,11 @@ def _compile(arguments: argparse.Namespace) -> int:
     require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
     show = prepared(arguments, may_query=False, is_following=arguments.follow)
     if arguments.output is None:
-        print(to_text(show.program, folder=Path.cwd()), end="")
+        say(to_text(show.program, folder=Path.cwd()), end="")
         return EXIT_FINISHED
     text = to_text(show.program, folder=arguments.output.absolute().parent)
     write_output(arguments.output, text)
-    print("\n".join(program_lines(show, is_whole=arguments.all)))
+    say("\n".join(program_lines(show, is_whole=arguments.all)))
     return EXIT_FINISHED
 
 
@@ -296,7 +295,7 @@ def _schema(arguments: argparse.Namespace) -> int:
         shown = schemas[arguments.kind]()
     else:
         shown = {kind: make() for kind, make in schemas.items()}
-    print(json.dumps(shown, indent=2, ensure_ascii=False))
+    print_json(shown)
     return EXIT_FINISHED
 
 
@@ -322,7 +321,7 @@ def _gait(arguments: argparse.Namespace) -> int:
         from lss_motion.planning.gait_plot import plot_gait
 
         plot_gait(gait, passages, arguments.plot)
-    print("\n".join(gait_lines(gait, passages)))
+    say("\n".join(gait_lines(gait, passages)))
     return EXIT_FINISHED
 
 

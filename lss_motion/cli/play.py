@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
-from lss_motion.cli.commands import add_command, add_version, prepared
+from lss_motion.cli.commands import Parser, add_command, add_version, prepared
 from lss_motion.cli.consent import may_call
 from lss_motion.cli.dialog import Confirmation, must_ask, print_event, simulated_text
-from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put
+from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put, say
 from lss_motion.cli.options import OPTIONS, UNLIMITED_HELP, add_options, number_from
 from lss_motion.cli.timecode import add_arguments as add_timecode_options
 from lss_motion.cli.timecode import opened as opened_timecode
@@ -86,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of `lss-play`."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="lss-play",
         description=DESCRIPTION,
         epilog=EPILOG,
@@ -173,7 +173,7 @@ def play(arguments: argparse.Namespace) -> int:
         from lss_motion.planning.summaries import program_lines
 
         for line in [] if arguments.quiet else program_lines(show, is_whole=arguments.all):
-            print(line)
+            say(line)
         return EXIT_FINISHED
     # In virtual time no function is called.
     if not arguments.virtual and not may_call(

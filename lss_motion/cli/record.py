@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import TOLERANCE_MAX_DEG, add_command, robot_at
 from lss_motion.cli.hands import HandsControls, chosen_joints, joint_lines, perform
-from lss_motion.cli.messages import ended_by
+from lss_motion.cli.messages import ended_by, say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
@@ -121,13 +121,13 @@ def _write(arguments: argparse.Namespace, take: Take, robot: Robot) -> None:
     from lss_motion.show.write import write_sequence
 
     if not take.parts:
-        print("nothing was recorded, so no file was written")
+        say("nothing was recorded, so no file was written")
         return
     shown = sequence_of(take, robot, arguments.output.stem, tolerance_deg=arguments.tolerance_deg)
     comments = [*shown.comments, *map(fit_text, shown.fits)]
     write_sequence(shown.sequence, arguments.output, comments=comments)
-    print(f"{arguments.output}: {len(shown.sequence.keyframes)} keyframes")
-    print("\n".join([*comments, *plan_lines(plan(shown.sequence, robot), robot)]))
+    say(f"{arguments.output}: {len(shown.sequence.keyframes)} keyframes")
+    say("\n".join([*comments, *plan_lines(plan(shown.sequence, robot), robot)]))
 
 
 KEYS: Final = "l limp/hold  r record  p pose  u undo  q write and end"

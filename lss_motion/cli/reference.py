@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.messages import say
 from lss_motion.errors import EXIT_FINISHED
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def _reference(arguments: argparse.Namespace) -> int:
     from lss_motion.protocol.constants import Family
 
     names = FAMILIES if arguments.family is None else (arguments.family,)
-    print("\n\n".join(page(FAMILY_TABLES[Family(name)]) for name in names))
+    say("\n\n".join(page(FAMILY_TABLES[Family(name)]) for name in names))
     return EXIT_FINISHED
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.dialog import print_event
+from lss_motion.cli.messages import say
 from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError
 from lss_motion.playing.player import events
 from lss_motion.units import s_from_ns
@@ -53,10 +54,10 @@ def _replay(arguments: argparse.Namespace) -> int:
 
     log = read_log(arguments.log)
     if not log.is_whole:
-        print(
+        say(
             f"warning: {arguments.log} has no end: the player was killed, or still runs. At most "
             f"the last tenth of a second is missing",
-            file=sys.stderr,
+            sys.stderr,
         )
     if arguments.again:
         return _again(log)
@@ -66,7 +67,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         else _summary(log.lines)
     )
     for text in texts:
-        print(text)
+        say(text)
     return EXIT_FINISHED
 
 
@@ -101,11 +102,11 @@ def _again(log: Log) -> int:
     )
     result = replay(log.lines, player)
     count = len(result.differing)
-    print(f"{log.path}: {result.compared} outputs compared, {count} differ")
+    say(f"{log.path}: {result.compared} outputs compared, {count} differ")
     for index, now in result.differing[:DIFFERENCES_SHOWN]:
         line = log.lines[index]
         was = line.data if isinstance(line, SentLine) else b""
-        print(f"  line {index + 2}, {s_from_ns(line.at_ns):.6f} s: {was!r}, now {now!r}")
+        say(f"  line {index + 2}, {s_from_ns(line.at_ns):.6f} s: {was!r}, now {now!r}")
     return EXIT_NOT_FOLLOWED if count else EXIT_FINISHED
 
 

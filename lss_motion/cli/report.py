@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import OPTIONS, add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
-from lss_motion.files.source import RECORDING_MAX_BYTES, aligned, read_text
+from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
+from lss_motion.files.texts import aligned
 
 if TYPE_CHECKING:
     import argparse
@@ -58,12 +60,12 @@ def _report(arguments: argparse.Namespace) -> int:
     for path, report in shown:
         with _complete(path):
             for line in report_lines(report):
-                print(line)
+                say(line)
     if arguments.json:
         print_json(found[0] if len(found) == 1 else {"first": found[0], "second": found[1]})
     elif len(found) == 2:
         for line in _differences(*found):
-            print(line)
+            say(line)
     if arguments.plot is not None:
         with _complete(arguments.reports[0]):
             plot_report(found[0], arguments.plot)

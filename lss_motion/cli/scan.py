@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, print_json, require_baud, robot_at
-from lss_motion.cli.messages import StepLine
+from lss_motion.cli.messages import StepLine, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
@@ -83,7 +83,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     is_good, step = True, StepLine()
     with connect(buses, robot=robot) as connection:
         if connection.simulated:
-            print(SIMULATED_NOTE)
+            say(SIMULATED_NOTE)
         for bus in buses.values():
             try:
                 looks = survey(connection, bus, arguments.baud, step.show)
@@ -107,7 +107,7 @@ def _bus(port: str | None) -> Bus:
     if port is None:
         devices = list_devices()
         for device in devices:
-            print(f"{device.path}  {device.name}")
+            say(f"{device.path}  {device.name}")
         usb = [device for device in devices if device.is_usb]
         if not usb:
             raise BusError(
@@ -193,11 +193,11 @@ def _print_findings(
     for rate_bps in dict.fromkeys(look.baud_bps for look in looks):
         at_rate = [look for look in looks if look.baud_bps == rate_bps]
         count = "1 id replies" if len(at_rate) == 1 else f"{len(at_rate)} ids reply"
-        print(f"{bus.port} at {rate_bps} bps: {count}")
-        print("\n".join(f"  {row}" for row in report.table(at_rate, names)))
+        say(f"{bus.port} at {rate_bps} bps: {count}")
+        say("\n".join(f"  {row}" for row in report.table(at_rate, names)))
     for kind, texts in (("note", notes), ("problem", problems)):
         for text in texts:
-            print(f"{kind}: {text}")
+            say(f"{kind}: {text}")
     return problems, notes
 
 
@@ -212,4 +212,4 @@ def _write_starter(path: Path, bus: Bus, looks: Sequence[ServoCondition]) -> Non
         raise BusError("no robot file was written: no servo has an id of its own")
     write_output(path, text)
     robot = load_robot(path)
-    print(f"wrote {path}: {len(robot.joints)} joints. Edit the ranges before you move it")
+    say(f"wrote {path}: {len(robot.joints)} joints. Edit the ranges before you move it")

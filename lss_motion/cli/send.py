@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.cli.commands import add_command, robot_at
-from lss_motion.cli.messages import agrees, put
+from lss_motion.cli.messages import agrees, put, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 
@@ -113,7 +113,7 @@ def _send(arguments: argparse.Namespace) -> int:
             f"{bus.baud_bps} bps",
             url=bus.port,
         )
-    print(_reply_text(servo, command, answers[address]))
+    say(_reply_text(servo, command, answers[address]))
     return EXIT_FINISHED
 
 

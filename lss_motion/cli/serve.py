@@ -154,6 +154,7 @@ def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
         trust_network=arguments.trust_network,
         starts=arguments.go,
         is_real_time=arguments.real_time,
+        print_line=put,
     )
 
 
@@ -246,7 +247,6 @@ def _tell(studio: Studio, service: StageService, *, is_json: bool) -> None:
             put(f"stage: code {code[:3]} {code[3:]} lets one device operate, for two minutes")
         if is_at_keyboard():
             put("Enter is GO, Escape stops, Ctrl-C ends")
-    sys.stdout.flush()
     if is_at_keyboard() and not is_json:
         _take_keys(service)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
-from lss_motion.cli.messages import ended_by
+from lss_motion.cli.messages import ended_by, say
 from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import InputError
 
@@ -123,7 +123,7 @@ def _sim(arguments: argparse.Namespace) -> int:
         faults=faults,
         usb_latency_ns=arguments.usb_latency_ms * NS_PER_MS,
         hand=None if arguments.hand is None else hand_of(arguments.hand, robot),
-        announce=lambda text: print(text, flush=True),
+        announce=say,
     )
     return ended_by(number)
 

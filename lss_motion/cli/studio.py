@@ -90,14 +90,12 @@ def _studio(arguments: argparse.Namespace) -> int:
 def _tell(studio: Studio, *, is_json: bool) -> None:
     if is_json:
         print_json(served.addresses_json(studio))
-        sys.stdout.flush()
         return
     served.print_addresses(studio, "studio")
     if len(studio.addresses) > 1:
         _print_code(studio, "operate")
         _make_codes_on_enter(studio)
     put("Ctrl-C stops the show and ends")
-    sys.stdout.flush()
 
 
 def _print_code(studio: Studio, role: RoleName) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.cli.messages import say
 from lss_motion.cli.options import number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -215,9 +216,9 @@ def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
         found = shortfall(voiced, lambda times_s: trajectory.sample(times_s)[:, 0])
         comments += _shortfall_lines(found, voiced)
     write_sequence(sequence, arguments.output, comments=comments)
-    print(f"{arguments.output}: {counted(sequence.keyframes, 'keyframe')} from {arguments.file}")
-    print("\n".join(comments))
-    print("\n".join(plan_lines(trajectory, robot)))
+    say(f"{arguments.output}: {counted(sequence.keyframes, 'keyframe')} from {arguments.file}")
+    say("\n".join(comments))
+    say("\n".join(plan_lines(trajectory, robot)))
     return EXIT_FINISHED
 
 
@@ -243,9 +244,9 @@ def import_labels(arguments: argparse.Namespace, track: LabelTrack, robot: Robot
         sequence = keeping(sequence, is_time=arguments.keep == "time")
     trajectory = plan(sequence, robot)
     write_sequence(sequence, arguments.output, comments=comments)
-    print(f"{arguments.output}: {counted(sequence.keyframes, 'keyframe')} from {arguments.file}")
-    print("\n".join(comments))
-    print("\n".join(plan_lines(trajectory, robot)))
+    say(f"{arguments.output}: {counted(sequence.keyframes, 'keyframe')} from {arguments.file}")
+    say("\n".join(comments))
+    say("\n".join(plan_lines(trajectory, robot)))
     return EXIT_FINISHED
 
 

@@ -2,7 +2,8 @@
 
 | file | what it is | called by |
 |---|---|---|
-| `source` | reads bounded text; texts for people: similar names, counts, durations | all readers |
+| `source` | reads bounded text; values that know their line | all readers |
+| `texts` | texts for people: tables, counts, similar names; escapes what steers a terminal | all |
 | `record` | what a result was made of, and whether it is unchanged | `source`, `show_cache` |
 | `yaml_source` | YAML as plain values with their lines | `validation`, readers of YAML files |
 | `keys` | classes of keys: what a file may hold, with bounds and descriptions | every `file.py` |

@@ -1,12 +1,10 @@
-"""Reads text files with a bound on their size; values with their place; texts of error messages.
+"""Reads text files with a bound on their size; values with their place.
 
 Every failure is an `InputError` with the path and, where there is one, the line.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
 import stat
 from typing import TYPE_CHECKING, BinaryIO, ClassVar, Final
 
@@ -16,7 +14,6 @@ from lss_motion.errors import InputError
 from lss_motion.files.record import note_content
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence, Sized
     from pathlib import Path
 
 
@@ -106,42 +103,3 @@ def text_of(data: bytes, path: Path) -> str:
 def read_text(path: Path, max_bytes: int = FILE_MAX_BYTES) -> str:
     """Return the UTF-8 text of a file of at most `max_bytes`, or raise `InputError`."""
     return text_of(read_data(path, max_bytes), path)
-
-
-LISTED_MAX: Final = 20
-"""A longer list does not help the reader."""
-
-
-def known_names(word: str, names: Iterable[str]) -> str:
-    """Return a text with the name nearest to `word` and the list of all names."""
-    choices = list(names)
-    if not choices:
-        return "there are none"
-    by_lower = {name.lower(): name for name in reversed(choices)}
-    near = difflib.get_close_matches(word.lower(), by_lower, n=1)
-    meant = f"did you mean {by_lower[near[0]]!r}? " if near else ""
-    listed = ", ".join(choices[:LISTED_MAX])
-    more = f" and {len(choices) - LISTED_MAX} more" if len(choices) > LISTED_MAX else ""
-    return f"{meant}there are: {listed}{more}"
-
-
-def counted(things: Sized, one: str, many: str | None = None) -> str:
-    """Return a count with its noun, such as `1 joint` or `5 joints`."""
-    return f"{len(things)} {one if len(things) == 1 else many or one + 's'}"
-
-
-def aligned(rows: Sequence[Sequence[str]], right: Container[int] = ()) -> list[str]:
-    """Return the rows of a table as lines; the columns `right` are aligned to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            text.rjust(width) if column in right else text.ljust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
-
-
-def duration_text(duration_s: float) -> str:
-    """Return a duration in seconds, or `forever` for an infinite one."""
-    return "forever" if math.isinf(duration_s) else f"{duration_s:.3f} s"

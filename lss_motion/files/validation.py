@@ -23,7 +23,7 @@ from typing import (
 from msgspec.structs import fields
 
 from lss_motion.files.keys import Bounds, Check, FileModel, Plain
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem
 
 if TYPE_CHECKING:

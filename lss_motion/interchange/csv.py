@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.interchange.fields import VALUE_MAX, TextLines, is_number, text_head
 from lss_motion.interchange.reader import (
     DIGITS,

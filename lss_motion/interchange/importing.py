@@ -17,7 +17,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import RECORDING_MAX_BYTES, known_names, read_data
+from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
+from lss_motion.files.texts import known_names
 from lss_motion.interchange.audacity import AudacityReader
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader

@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.interchange.mouth_shapes import nearest, robot_shapes, shape_reader
 from lss_motion.interchange.reader import DIGITS, Span, motion_label
 from lss_motion.show.check import clashes, jumps

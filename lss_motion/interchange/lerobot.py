@@ -13,7 +13,8 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.errors import InputError, install_command
-from lss_motion.files.source import counted, read_data
+from lss_motion.files.source import read_data
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import JsonFields, parsed_json
 from lss_motion.interchange.reader import FPS_MAX, VALUES_MAX, Channel, Unit, recording, thinned
 

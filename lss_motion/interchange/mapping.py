@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.keys import Check, Field, FileModel, Name
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names, printable
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.interchange.reader import (
@@ -330,8 +330,9 @@ def _wraps(times_s: FloatArray, values_deg: FloatArray) -> tuple[NDArray[np.bool
 
 def map_template(motion: ForeignMotion, robot: Robot) -> str:
     """Return a map file for the joints of `motion` to begin with. Guesses are marked."""
+    of_file, of_robot = printable(motion.path.name), printable(robot.name)
     lines = [
-        f"# Joints of {_shown(motion.path.name)} and their joints of robot {_shown(robot.name)}:",
+        f"# Joints of {of_file} and their joints of robot {of_robot}:",
         "# angle = offset_deg + sign * scale * value; a value that is an angle is in degrees.",
         f"# Joints of the robot: {', '.join(robot.joints)}",
         "joints:",
@@ -359,7 +360,7 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
                 f"offset_deg: {-own.direction * own.zero_deg + 0.0:g}",
             ]
         key = json.dumps(channel.name, ensure_ascii=False)
-        lines.append(f"  {key}: {{{', '.join(fields)}}}  # {_shown('; '.join(words))}")
+        lines.append(f"  {key}: {{{', '.join(fields)}}}  # {printable('; '.join(words))}")
     return "\n".join([*lines, ""])
 
 
@@ -387,7 +388,3 @@ def _by_number(name: str, robot: Robot) -> str:
         if number is not None and joint.servo_id == int(number[1])
     ]
     return found[0] if len(found) == 1 else ""
-
-
-def _shown(text: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in text)

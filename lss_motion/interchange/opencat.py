@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     VALUES_MAX,

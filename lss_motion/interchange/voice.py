@@ -17,7 +17,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import counted, known_names
+from lss_motion.files.texts import counted, known_names
 from lss_motion.show.model import KEYFRAMES_MAX, Cue, Keyframe, Sequence, SoundStyle
 from lss_motion.sound.envelope import (
     MouthStyle,

@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError, PlaybackError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.maintenance.settings import MOVED_MIN_DEG, frame_of, stated_frame
 from lss_motion.playing.remote import schema as m
 from lss_motion.protocol.constants import Family

@@ -14,7 +14,7 @@ from msgspec import Struct, field
 
 from lss_motion.errors import InputError
 from lss_motion.files.keys import Field, FileModel, Name, Text
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.playing.discovery import family_of

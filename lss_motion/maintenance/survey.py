@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError
-from lss_motion.files.source import aligned
+from lss_motion.files.texts import aligned
 from lss_motion.playing.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
 from lss_motion.playing.player.unasked import unasked_text, unreadable_text
 from lss_motion.playing.remote import schema as m

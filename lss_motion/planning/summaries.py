@@ -85,7 +85,7 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
 
     `is_whole`: all slow spans and late keyframes, not only the worst ten.
     """
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     length = "forever" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     passes = "" if trajectory.loop == 1 else f", one pass {trajectory.middle.duration_s:.3f} s"
@@ -112,7 +112,7 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
 
 def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return how many spans are slowed, by how much and by which joint, then the worst."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     spans = sorted(trajectory.stretched, key=lambda span: -span.by_s)
     if not spans:
@@ -135,7 +135,7 @@ def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
 
 def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return how much angle is given up to keep the time, the worst spans, and missed keys."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     spans = sorted(trajectory.given_up, key=lambda span: -span.by_deg)
     if not spans:
@@ -174,7 +174,7 @@ def _missed_lines(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) ->
 
 def _keys_text(keys: Sequence[MissedKey], *, is_whole: bool) -> str:
     """Return how many keys are missed, and by how much, the worst first."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     worst = sorted(keys, key=lambda key: -abs(key.given_deg - key.asked_deg))
     shown = worst if is_whole else worst[:MISSED_COUNT]
@@ -190,7 +190,7 @@ def _keys_text(keys: Sequence[MissedKey], *, is_whole: bool) -> str:
 
 def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return how many keyframes are late, then the latest."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     if not _has_times(trajectory):
         return ["the file gives no times"] if not trajectory.stretched else []
@@ -208,7 +208,7 @@ def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
 
 def _rest_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return which rests without a hold became shorter, those that lost most first."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     found = shortened_rests(trajectory)
     shown = found if is_whole else found[:WORST_COUNT]
@@ -233,7 +233,7 @@ def smoothings(trajectory: Trajectory) -> list[Smoothing]:
 
 def _smooth_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return what it costs that the acceleration does not jump: time, angle at and between keys."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
 
     found = [own for own in smoothings(trajectory) if own.jerk_max_deg_s3 > 0.0]
     if not found:
@@ -426,7 +426,7 @@ def advice_of(show: Show) -> tuple[EaseAdvice, ...]:
 
 def advice_lines(show: Show, *, is_whole: bool) -> list[str]:
     """Return the lines of `advice_of`; `is_whole`: with all keyframes, not only the first ten."""
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
     from lss_motion.planning.trajectory.eases import OTHER
     from lss_motion.planning.trajectory.keys import named
 
@@ -533,7 +533,7 @@ def robot_lines(robot: Robot) -> list[str]:
 
     Raises `InputError` if the URDF file of its figure is wrong.
     """
-    from lss_motion.files.source import counted
+    from lss_motion.files.texts import counted
     from lss_motion.show.gait.kinematics import figure_of
 
     counts = [counted(robot.joints, "joint"), counted(robot.poses, "pose")]

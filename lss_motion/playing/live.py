@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
 from lss_motion.playing.player import handshake

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Struct, to_builtins
 
 from lss_motion.files.output import write_output
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
 from lss_motion.playing.player.due_moves import Statistics
 from lss_motion.playing.player.events import Faulted

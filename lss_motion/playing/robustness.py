@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 from lss_motion.playing.connection import SIMULATED, with_port
 from lss_motion.playing.report import planned_horn_deg
 from lss_motion.playing.run import Observer, perform

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypedDict, TypeVar, Unpack, over
 from msgspec import Struct, field
 
 from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.planning.program.model import Program
 from lss_motion.playing.connection import connect, is_simulated
 from lss_motion.playing.player.events import Warned

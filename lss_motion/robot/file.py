@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from lss_motion.files.keys import Check, Field, FileModel, Name, Plain, Text, check_text
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.protocol.lss_pro import (
     ACCEL_DEG_S2,
     OFFSET_DEG,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from msgspec.structs import replace
 
 from lss_motion.errors import ProtocolError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import DISABLED

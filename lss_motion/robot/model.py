@@ -15,7 +15,8 @@ from typing import ClassVar, Final, Literal
 from msgspec import Struct, field
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import Located, counted
+from lss_motion.files.source import Located
+from lss_motion.files.texts import counted
 from lss_motion.protocol.codec import Language
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, UNITS, Units

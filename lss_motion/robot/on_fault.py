@@ -12,7 +12,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Final, Literal, NoReturn
 from xml.parsers import expat
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names, read_data
+from lss_motion.files.source import read_data
+from lss_motion.files.texts import known_names
 from lss_motion.robot.figure import (
     ORIGIN,
     UPRIGHT,

@@ -9,7 +9,7 @@ from itertools import combinations, groupby, pairwise, product
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 
 if TYPE_CHECKING:
     from collections import abc

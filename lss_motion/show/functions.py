@@ -19,7 +19,8 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.record import note_unrepeatable
-from lss_motion.files.source import known_names, read_data
+from lss_motion.files.source import read_data
+from lss_motion.files.texts import known_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem
 from lss_motion.show.check import SAME_TIME_S, clashes, joint_problems, jumps, loop_problem
 from lss_motion.show.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing

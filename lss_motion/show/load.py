@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.record import looked_for
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_named_robot

@@ -12,7 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem
 from lss_motion.show.check import check_sequence, jumps_between
 from lss_motion.show.keyframes import at_speed

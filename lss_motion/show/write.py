@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.files.output import write_output
+from lss_motion.files.texts import printable
 from lss_motion.show.model import Interpolation
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def _head(sequence: Sequence, folder: Path, comments: Iterable[str]) -> Iterator
         yield f"# yaml-language-server: $schema={_relative(schema, folder)}"
     for comment in comments:
         for line in comment.splitlines():
-            yield f"# {_printable(line)}".rstrip()
+            yield f"# {printable(line)}".rstrip()
     yield f"sequence: {_text(sequence.name)}"
     if sequence.robot_path is not None:
         yield f"robot: {_text(_relative(sequence.robot_path, folder))}"
@@ -149,10 +150,6 @@ def _text(text: str) -> str:
     if _PLAIN.fullmatch(text) and text.lower() not in _NOT_TEXT:
         return text
     return json.dumps(text, ensure_ascii=False)  # JSON of printable text is YAML.
-
-
-def _printable(line: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in line)
 
 
 def _upwards(folder: Path) -> list[Path]:

@@ -18,7 +18,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
 from lss_motion.units import ns_from_s

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from lss_motion.errors import ProtocolError
 from lss_motion.files.keys import Field, FileModel
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.protocol.codec import language_table, stored_wire

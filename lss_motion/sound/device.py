@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.errors import install_command
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.sound.files import STEREO
 from lss_motion.system.closing import Closing
 from lss_motion.units import NS_PER_S

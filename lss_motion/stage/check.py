@@ -13,7 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError, PlanningError
-from lss_motion.files.source import counted, duration_text, known_names
+from lss_motion.files.texts import counted, duration_text, known_names
 from lss_motion.planning import shows
 from lss_motion.playing.player.added_show import why_not_beside
 from lss_motion.playing.player.following import require_can_follow

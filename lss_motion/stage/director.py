@@ -21,7 +21,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import Cue, Signal, Trigger, TriggerKind

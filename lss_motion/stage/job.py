@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Struct, field
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.job import Outcome

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause

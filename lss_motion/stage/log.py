@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 from lss_motion.playing.log import VERSION, LineTap, LogHead, encode_line
 from lss_motion.stage import orders
 from lss_motion.stage.duty import Reason

@@ -16,7 +16,8 @@ from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import RECORDING_MAX_BYTES, counted, read_data
+from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
+from lss_motion.files.texts import counted
 from lss_motion.stage.log import FAULT_PREFIX, PREFIX
 
 if TYPE_CHECKING:

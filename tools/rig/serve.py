@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from lss_motion.cli.messages import put
 from lss_motion.stage.hosts.serving import serve_figure
 from lss_motion.stage.load import load_stage
 
@@ -18,5 +19,6 @@ if __name__ == "__main__":
             trust_network=True,
             folder=Path(store),
             is_real_time="--real-time" in rest,
+            print_line=put,
         )
     )

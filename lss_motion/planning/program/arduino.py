@@ -12,7 +12,7 @@ import re
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 from lss_motion.protocol.constants import Family
 from lss_motion.units import MS_PER_S, s_from_us, us_from_s
 

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.files.source import counted
+from lss_motion.files.texts import counted
 from lss_motion.planning.program.accuracy import horn_errors
 from lss_motion.planning.program.drives import choices
 from lss_motion.planning.program.model import TOLERANCE_DEG, Program, Repeat, driving_of

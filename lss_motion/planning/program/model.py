@@ -19,7 +19,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import counted, duration_text, known_names
+from lss_motion.files.texts import counted, duration_text, known_names
 from lss_motion.planning.program.line import LineUse
 from lss_motion.planning.trajectory.model import GivenUp, Mark, SlowSpan, WaitPoint
 from lss_motion.protocol.framing import encode_move

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import counted, duration_text
+from lss_motion.files.texts import counted, duration_text
 from lss_motion.planning.trajectory.curves import Path
 from lss_motion.robot.on_fault import Escalations
 from lss_motion.show.model import Cue, Sequence, Wait

@@ -24,7 +24,7 @@ import heapq
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, LostPortError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.planning.program.verify import driven
 from lss_motion.playing.player.approach import approach_s
 from lss_motion.playing.player.cues import SensorWatch

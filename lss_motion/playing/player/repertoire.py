@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.planning.program.model import TIMED, Driving, Program
 from lss_motion.planning.trajectory.model import WaitPoint
 from lss_motion.playing.player.cues import LED_KEYWORD, Agenda

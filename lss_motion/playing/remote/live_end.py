@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from msgspec import Struct
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.playing.hands_on import HandsOn
 from lss_motion.playing.player.events import Faulted, Phase, Warned
 from lss_motion.playing.remote import schema as m

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.playing.player import events
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.show_clock import Leg

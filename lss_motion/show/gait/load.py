@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.robot.load import load_named_robot
 from lss_motion.show.gait.kinematics import neutral_mm

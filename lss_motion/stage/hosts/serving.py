@@ -87,7 +87,7 @@ def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettin
     return settings
 
 
-def serve_figure(
+def serve_figure(  # noqa: PLR0913  (what an operator may choose)
     stage: Stage,
     figure: str,
     *,
@@ -97,15 +97,19 @@ def serve_figure(
     folder: Path | None = None,
     is_real_time: bool = False,
     sources: Sources | None = None,
+    print_line: Callable[[str], None],
 ) -> int:
     """Serve one figure until Ctrl-C or `q`; return the exit code.
 
     `port` replaces the port of its robot file. With `starts`, the conductor starts its first show
     as soon as all figures are there, else with GO. Plans are kept in `folder`, or else in the
     user's cache. `sources` opens the triggers at this figure, and hands over what arrives, in any
-    thread.
+    thread. `print_line` prints what happens.
     """
-    log = _log(figure)
+
+    def log(text: str) -> None:
+        print_line(f"{time.strftime('%H:%M:%S')} {figure}: {text}")
+
     host, robots = host_of(
         stage,
         figure,
@@ -344,15 +348,6 @@ def states(host: Host) -> list[str]:
         state = "lost" if one.is_lost(time.monotonic_ns()) else status.state
         found.append(f"{name}: {state}{show}{off}{bound}{text}")
     return found
-
-
-def _log(figure: str) -> Callable[[str], None]:
-    def log(text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            sys.stdout.write(f"{time.strftime('%H:%M:%S')} {figure}: {text}\n")
-            sys.stdout.flush()
-
-    return log
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import install_command
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 
 if TYPE_CHECKING:
     from types import ModuleType

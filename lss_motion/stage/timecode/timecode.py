@@ -18,7 +18,7 @@ from typing import Final, Literal, NamedTuple, cast, get_args
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names
+from lss_motion.files.texts import known_names
 
 ARTNET_PORT: Final = 6454
 FPP_PORT: Final = 32320

@@ -2,16 +2,62 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+import unicodedata
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from lss_motion.cli.messages import Printer
+from lss_motion.cli.commands import print_json
+from lss_motion.cli.messages import Printer, say, shown
 from lss_motion.errors import EXIT_INPUT
+
+STEERING = "\x1b]0;taken\x07\x1b[2J\r\x9b31m\u202e\u2028"
+"""Sets the title, clears the screen, overwrites the line, turns red and writes backwards."""
+
+
+def steers(text):
+    """Return what of a text a terminal would obey rather than show."""
+    kinds = ("Cc", "Cf", "Cs", "Zl", "Zp")
+    return [c for c in text if unicodedata.category(c) in kinds and c not in "\n\t\u200c\u200d"]
+
+
+@given(st.text())
+def test_no_text_steers_the_terminal(text):
+    out = StringIO()
+    say(text, out)
+    assert not steers(out.getvalue())
+    assert not steers(shown(text).plain)
+    if not steers(text):
+        assert out.getvalue() == f"{text}\n"
+
+
+@given(st.dictionaries(st.text(), st.text()))
+def test_json_on_a_terminal_is_the_same_json_and_steers_nothing(value):
+    out = StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdout", out)
+        print_json(value)
+    assert not steers(out.getvalue())
+    assert json.loads(out.getvalue()) == value
+
+
+@pytest.mark.parametrize("program", ["main", "play"])
+@pytest.mark.parametrize("words", [["check"], ["check", "other"]])
+def test_a_name_of_a_file_cannot_steer_the_terminal(program, words):
+    name = f"{STEERING}.yaml"
+    command = [sys.executable, "-m", f"lss_motion.cli.{program}", *words, name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == EXIT_INPUT
+    assert not steers(done.stdout + done.stderr)
+    assert r"\x1b]0;taken\x07" in done.stderr
 
 
 def test_a_terminal_without_superscripts_gets_a_question_mark_and_no_traceback():

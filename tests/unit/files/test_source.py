@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import LISTED_MAX, known_names, text_of
+from lss_motion.files.source import text_of
+from lss_motion.files.texts import LISTED_MAX, known_names
 from lss_motion.show.model import Cue, Keyframe
 
 if TYPE_CHECKING:
