@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 FORMATS_IN: Final = (
     "rhubarb, papagayo, praat, xlights, audacity, "
-    "bitbots, hulks, pypot, blender, bottango, webots, mtn, maestro, ssc32-csv, pypose, ros, csv, "
-    "commands, d6a, lerobot, opencat, poses, robotis-bin"
+    "bitbots, hulks, pypot, blender, bottango, webots, bvh, mtn, maestro, ssc32-csv, pypose, ros, "
+    "csv, commands, d6a, lerobot, opencat, poses, robotis-bin"
 )
 """The names of `interchange.FORMAT_NAMES`, which loads too slowly for a help text; a test
 compares them."""

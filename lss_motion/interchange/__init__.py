@@ -24,6 +24,7 @@ One reader per module:
 | `bitbots`     | keyframe JSON of the Bit-Bots humanoids                                |
 | `blender`     | JSON of the Blender add-on for servo animation                         |
 | `bottango`    | `AnimationCommands.json` of Bottango                                   |
+| `bvh`         | motion capture as BVH: a skeleton and its frames                       |
 | `command_text` | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
 | `csv`         | wide and long CSV tables                                               |
 | `d6a`         | action groups of Hiwonder robots (SQLite)                              |

@@ -23,6 +23,7 @@ from lss_motion.interchange.audacity import AudacityReader
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader
 from lss_motion.interchange.bottango import BottangoReader
+from lss_motion.interchange.bvh import BvhReader
 from lss_motion.interchange.command_text import CONSTANT_SPEED, CommandReader
 from lss_motion.interchange.csv import CsvReader
 from lss_motion.interchange.d6a import D6aReader
@@ -74,6 +75,7 @@ READERS: Final[tuple[Reader, ...]] = (
     BlenderReader(),
     BottangoReader(),
     WebotsReader(),
+    BvhReader(),
     RobotisTextReader(),
     MaestroReader(),
     Ssc32TableReader(),
@@ -428,7 +430,7 @@ def _unknown_joints(motion: ForeignMotion, robot: Robot) -> Iterator[InputError]
         yield InputError(
             f"robot {robot.name!r} does not have the joints {', '.join(unknown)}; it has "
             f"{', '.join(robot.joints)}; rename or skip them in a map file (--make-map writes one "
-            "to begin with), or name another robot",
+            "to begin with; `others: skip` leaves out the rest), or name another robot",
             path=motion.path,
         )
 

@@ -96,6 +96,10 @@ class MapFile(FileModel, title="map file"):
     """How the joints of a motion file become joints of a robot."""
 
     joints: dict[str, MapEntry] = Field(min_length=1)
+    others: Literal["keep", "skip"] = Field(
+        default="keep",
+        description="Joints that are not named here keep their names, or are left out.",
+    )
 
 
 class MotionMap(Struct, frozen=True):
@@ -103,6 +107,7 @@ class MotionMap(Struct, frozen=True):
 
     entries: Mapping[str, MapEntry]
     source: YamlSource
+    skips_others: bool = False
 
 
 def load_map(path: Path) -> MotionMap:
@@ -111,7 +116,7 @@ def load_map(path: Path) -> MotionMap:
     content, problems, _ = validate(MapFile, source)
     if problems or content is None:
         raise source.error(problems)
-    return MotionMap(content.joints, source)
+    return MotionMap(content.joints, source, skips_others=content.others == "skip")
 
 
 def mapped(
@@ -138,6 +143,8 @@ def mapped(
     reasons: list[str] = []
     for channel in motion.channels:
         entry = entries.get(channel.name)
+        if entry is None and motion_map is not None and motion_map.skips_others:
+            continue
         if entry is not None and entry.skip:
             comments += summarised([f"joint {channel.name}, which the map skips"])
             continue

@@ -74,6 +74,9 @@ SEEDS = {
     b'"rSVPin,10,1000,2000,3000,1500\\nrSVI2C,64,2,1,2,3,4"},"Animations":[{"Animation Name":"n",'
     b'"Animation Commands":"sC,10,0,100,0,25,0,8192,-25,0\\nsSY,sC,10,200,50,1,2,3,4,5,6;642,0,9,'
     b'1,2,3,4,5,6;"}]}]',
+    "bvh": b"HIERARCHY\nROOT hips\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition "
+    b"Zrotation Xrotation Yrotation\nJOINT a\n{\nOFFSET 0 1 0\nCHANNELS 1 Yrotation\nEnd Site\n{\n"
+    b"OFFSET 0 1 0\n}\n}\n}\nMOTION\nFrames: 2\nFrame Time: 0.04\n0 0 0 1 2 3 4\n0 0 0 1 2 5 -4\n",
     "webots": b"#WEBOTS_MOTION,V1.0,a,b\n00:00:000,Rest,-0.5,0.2\n00:01:000,Up,*,0.5\n",
     "mtn": f"type=motion\nenable={' '.join(['1'] * 26)}\nmotor_type={' '.join(['0'] * 26)}\n"
     f"page_begin\nname=x\nplay_param=0 0 1 1.0 5\nstep={MTN_ROW} 0.0 0.5\nstep={MTN_ROW} 0.1 1\n"
