@@ -128,6 +128,23 @@ def _check_name(name: str) -> str:
     return check_text(name)
 
 
+FILE_VERSION: Final = 1
+"""Of all files that people write. It grows when a file changes its meaning for an older program,
+not with a new key: a key that is not known is refused by its name."""
+
+
+def _check_version(version: int) -> int:
+    if version > FILE_VERSION:
+        raise ValueError(
+            f"is newer than this program, which reads version {FILE_VERSION}; install a newer "
+            "lss-motion"
+        )
+    return version
+
+
+Version = Annotated[int, Field(ge=1), Check(_check_version)]
+VERSION: Final = "Version of the form of this file. One that is newer than the program is refused."
+
 Text = Annotated[str, Field(min_length=1, max_length=TEXT_MAX_CHARS), Check(check_text)]
 Name = Annotated[
     str,

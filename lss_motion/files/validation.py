@@ -54,6 +54,8 @@ def validate(
     made = _struct(model)(source.value, (), found)
     if not found:
         return made, problems, frozenset()
+    if wrong := [problem for problem in found if problem.location == ("version",)]:
+        return None, wrong, frozenset()  # The other problems may be what it does not know yet.
     left_out = frozenset(problem.location[:2] for problem in found)
     again: list[Problem] = []
     rest = _struct(model)(_without(source.value, left_out, blanks or {}), (), again)

@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.keys import Check, Field, FileModel, Name
+from lss_motion.files.keys import FILE_VERSION, VERSION, Check, Field, FileModel, Name, Version
 from lss_motion.files.texts import known_names, printable
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
@@ -95,6 +95,7 @@ class MapEntry(FileModel, title="mapped joint"):
 class MapFile(FileModel, title="map file"):
     """How the joints of a motion file become joints of a robot."""
 
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     joints: dict[str, MapEntry] = Field(min_length=1)
     others: Literal["keep", "skip"] = Field(
         default="keep",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from msgspec import Struct, field
 
 from lss_motion.errors import InputError
-from lss_motion.files.keys import Field, FileModel, Name, Text
+from lss_motion.files.keys import FILE_VERSION, VERSION, Field, FileModel, Name, Text, Version
 from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
@@ -269,6 +269,7 @@ class ServoEntry(FileModel, title="servo"):
 class BackupFile(FileModel, title="backup file"):
     """The settings of some servos."""
 
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     backup: Literal[1] = Field(description="Form of the file.")
     servos: list[ServoEntry] = Field(min_length=1)
 

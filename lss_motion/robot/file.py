@@ -9,7 +9,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from lss_motion.files.keys import Check, Field, FileModel, Name, Plain, Text, check_text
+from lss_motion.files.keys import (
+    FILE_VERSION,
+    VERSION,
+    Check,
+    Field,
+    FileModel,
+    Name,
+    Plain,
+    Text,
+    Version,
+    check_text,
+)
 from lss_motion.files.texts import known_names
 from lss_motion.protocol.lss_pro import (
     ACCEL_DEG_S2,
@@ -557,6 +568,7 @@ class RobotFile(FileModel, title="robot file"):
     """A robot: its buses, its joints with their limits, and named poses."""
 
     robot: Text = Field(description="Name of the robot, as shown on screen and in reports.")
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     buses: Annotated[dict[Name, BusEntry], Field(min_length=1)] = Field(
         default_factory=lambda: {"main": BusEntry()},
         description="Serial lines by name. Left out: one simulated bus called main.",

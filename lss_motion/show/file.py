@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from lss_motion.files.keys import Field, FileModel, Name, Plain, Text
+from lss_motion.files.keys import (
+    FILE_VERSION,
+    VERSION,
+    Field,
+    FileModel,
+    Name,
+    Plain,
+    Text,
+    Version,
+)
 from lss_motion.robot.file import AngleDeg, OnFaultEntry
 from lss_motion.show.model import KEYFRAMES_MAX, PLAY_STEPS_MAX, TIME_MAX_S
 
@@ -350,6 +359,7 @@ class SequenceFile(TrackEntry, title="sequence file"):
     }
 
     sequence: Text = Field(description="Name of the sequence, as shown on screen and in reports.")
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     robot: FileName | None = Field(
         default=None,
         description="Robot file, relative to this file. May be left out if --robot gives it.",

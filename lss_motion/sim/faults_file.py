@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from lss_motion.errors import ProtocolError
-from lss_motion.files.keys import Field, FileModel
+from lss_motion.files.keys import FILE_VERSION, VERSION, Field, FileModel, Version
 from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
@@ -130,6 +130,7 @@ class FaultEntry(FileModel, title="fault"):
 class FaultsFile(FileModel, title="faults file"):
     """What goes wrong on the simulated buses."""
 
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     faults: list[FaultEntry] = Field()
 
 

@@ -9,7 +9,17 @@ from __future__ import annotations
 
 from typing import Annotated, Final, Literal
 
-from lss_motion.files.keys import Check, Field, FileModel, Name, Text, check_text
+from lss_motion.files.keys import (
+    FILE_VERSION,
+    VERSION,
+    Check,
+    Field,
+    FileModel,
+    Name,
+    Text,
+    Version,
+    check_text,
+)
 from lss_motion.show.file import FileName, Reading
 
 StartMode = Literal["only_if_idle", "add", "interrupt", "terminate", "restart", "queue"]
@@ -357,6 +367,7 @@ class StageFile(FileModel, title="stage file"):
     """What a figure plays all evening: shows, and the cues that start them."""
 
     stage: Text = Field(description="Name of the stage.")
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     robot: FileName | None = Field(
         default=None, description="Robot file, relative to this file.", examples=["robots/owl.yaml"]
     )

@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from typing import Annotated, Final, Literal
 
-from lss_motion.files.keys import Check, Field, FileModel, Name, Text
+from lss_motion.files.keys import (
+    FILE_VERSION,
+    VERSION,
+    Check,
+    Field,
+    FileModel,
+    Name,
+    Text,
+    Version,
+)
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (read when it is checked)
 from lss_motion.show.file import Loop, TimeS  # noqa: TC001  (read when they are checked)
 from lss_motion.show.gait.model import PATTERNS, LegKind
@@ -169,6 +178,7 @@ class GaitFile(FileModel, title="gait file"):
     """A robot with four or six legs, its pattern, and its actions."""
 
     gait: Text = Field(description="Name of the gait, as shown on screen and in reports.")
+    version: Version = Field(default=FILE_VERSION, description=VERSION)
     robot: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
         description="Robot file, relative to this file. May be left out if --robot gives it.",
