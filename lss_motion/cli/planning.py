@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
     from lss_motion.planning.shows import Show
     from lss_motion.planning.trajectory.model import Trajectory
-    from lss_motion.playing.robustness import Trial
+    from lss_motion.playing.robustness import RobustnessTrial
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
 
@@ -216,11 +216,11 @@ def _check_stage(arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED
 
 
-def _trials(show: Show) -> list[Trial]:
+def _trials(show: Show) -> list[RobustnessTrial]:
     """Return all trials of `--robust`; on a terminal, show how many of them are done."""
     from lss_motion.playing.robustness import WORSE, trials
 
-    found: list[Trial] = []
+    found: list[RobustnessTrial] = []
     step = StepLine()
     try:
         for trial in trials(show, WORSE):

@@ -75,7 +75,7 @@ AFTER_PUSH_S: Final = 1.0
 WATCH_NS: Final = 20 * NS_PER_MS
 
 
-class Trial(Struct, frozen=True, kw_only=True):
+class RobustnessTrial(Struct, frozen=True, kw_only=True):
     """One run. Angles are None if no show was played, the standing error also without a hold."""
 
     sim: str
@@ -117,7 +117,7 @@ class Trial(Struct, frozen=True, kw_only=True):
 
 def trials(
     show: Show, texts: Sequence[str] = WORSE, *, played_s: float = PLAYED_S
-) -> Iterator[Trial]:
+) -> Iterator[RobustnessTrial]:
     """Yield the trial of the robot as assumed, then those of `texts`, as `--sim` has them.
 
     A push is moved into the longest hold. Of a longer show only the first `played_s` are played.
@@ -205,14 +205,14 @@ class _Run:
         longest = max(spans, key=lambda span: span[1] - span[0], default=(middle_s, middle_s))
         return float(self._watch.run_s(np.array([longest[0] + PUSH_S]))[0])
 
-    def trial(self) -> Trial:
+    def trial(self) -> RobustnessTrial:
         """Return what the horns did, and what was done about it."""
         report, error = self._result.report, self._result.error
         outcome = report.outcome
         if outcome == "stopped":  # Only the watch stops it.
             outcome = "unfinished" if self._watch.has_given_up else "finished"
         late_s = max(self._watch.behind_s(), 1e-6 * report.timing.late_max_us)
-        found = Trial(
+        found = RobustnessTrial(
             sim=self._text,
             outcome=outcome,
             played_s=round(min(report.played_s, self._until_s), 3),
@@ -283,7 +283,7 @@ def rests(is_still: BoolArray) -> Iterator[tuple[float, float]]:
 # ---- what is printed
 
 
-def robust_lines(found: Sequence[Trial], duration_s: float) -> list[str]:
+def robust_lines(found: Sequence[RobustnessTrial], duration_s: float) -> list[str]:
     """Return the table of the trials, the robot as assumed first, then the worst first."""
     assumed, worse = found[0], sorted(found[1:], key=_badness, reverse=True)
     until_s = min(duration_s, PLAYED_S)
@@ -304,11 +304,11 @@ def robust_lines(found: Sequence[Trial], duration_s: float) -> list[str]:
     return lines
 
 
-def _badness(one: Trial) -> tuple[bool, float]:
+def _badness(one: RobustnessTrial) -> tuple[bool, float]:
     return one.is_stopped, math.inf if one.rms_deg is None else one.rms_deg
 
 
-def _line(one: Trial) -> str:
+def _line(one: RobustnessTrial) -> str:
     angles = (one.rms_deg, one.max_deg, one.standing_deg)
     rms, largest, standing = ("-" if angle is None else f"{angle:.2f}" for angle in angles)
     outcome = f"{one.outcome} at {one.played_s:.1f} s" if one.is_stopped else one.outcome
@@ -318,7 +318,7 @@ def _line(one: Trial) -> str:
     )
 
 
-def robust_as_json(found: Sequence[Trial], duration_s: float) -> dict[str, Any]:
+def robust_as_json(found: Sequence[RobustnessTrial], duration_s: float) -> dict[str, Any]:
     """Return `robust` of `check --robust --json`: the robot as assumed first, then by `WORSE`."""
     return {
         "simulated": True,

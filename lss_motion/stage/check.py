@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.planning.shows import ReadRobot, Show
-    from lss_motion.stage.model import Stage, Trigger
+    from lss_motion.stage.model import CueTrigger, Stage
 
 
-class Finding(Struct, frozen=True):
+class StageFinding(Struct, frozen=True):
     """What an author may not expect, and the line of the stage file."""
 
     line: int | None
@@ -84,7 +84,7 @@ def plan_stage(
     return Planned(stage=stage, shows=planned)
 
 
-def _alone(stage: Stage, planned: Mapping[str, Show]) -> Iterator[Finding]:
+def _alone(stage: Stage, planned: Mapping[str, Show]) -> Iterator[StageFinding]:
     """Yield the cues that add a show which can only play alone."""
     for cue in stage.cues:
         for name in cue.shows if cue.start == "add" else ():
@@ -94,7 +94,7 @@ def _alone(stage: Stage, planned: Mapping[str, Show]) -> Iterator[Finding]:
                     f"where no other one does; give the cue another start, such as terminate, or "
                     f"take that out of the show"
                 )
-                yield Finding(cue.line, text)
+                yield StageFinding(cue.line, text)
 
 
 def following_shows(stage: Stage) -> set[str]:
@@ -153,16 +153,16 @@ def as_one(
 # ---- what an author may not expect
 
 
-def findings(planned: Planned) -> list[Finding]:
+def findings(planned: Planned) -> list[StageFinding]:
     """Return what does not go together, in the order of the lines."""
     found = [*_endless(planned), *_never_added(planned), *_same_triggers(planned.stage)]
     found += [*_unused(planned.stage), *_never_enabled(planned.stage)]
     if (why := why_not_writable(planned.stage.log.folder)) is not None:
-        found.append(Finding(None, f"the log of the stage cannot be written: {why}"))
+        found.append(StageFinding(None, f"the log of the stage cannot be written: {why}"))
     return sorted(found, key=lambda one: one.line or 0)
 
 
-def _endless(planned: Planned) -> Iterator[Finding]:
+def _endless(planned: Planned) -> Iterator[StageFinding]:
     """Yield shows that never end: nothing that waits for their end would come."""
     stage = planned.stage
     for name, show in planned.shows.items():
@@ -172,10 +172,10 @@ def _endless(planned: Planned) -> Iterator[Finding]:
                 f"show {name!r} loops forever: it plays until a cue with terminate or interrupt "
                 f"ends it, and queued shows wait for ever; give its loop a count"
             )
-            yield Finding(line, text)
+            yield StageFinding(line, text)
 
 
-def _never_added(planned: Planned) -> Iterator[Finding]:
+def _never_added(planned: Planned) -> Iterator[StageFinding]:
     """Yield shows that are to be added, but cannot be, or only where nothing else plays."""
     stage, idle = planned.stage, planned.stage.idle
     if idle is None:
@@ -192,11 +192,11 @@ def _never_added(planned: Planned) -> Iterator[Finding]:
                     f"cue {cue.name!r} adds {name!r}, which moves {', '.join(shared)}, as the idle "
                     f"show {idle!r} does: it plays only if nothing moves them"
                 )
-                yield Finding(cue.line, text)
+                yield StageFinding(cue.line, text)
 
 
-def _same_triggers(stage: Stage) -> Iterator[Finding]:
-    by_trigger: dict[Trigger, list[str]] = defaultdict(list)
+def _same_triggers(stage: Stage) -> Iterator[StageFinding]:
+    by_trigger: dict[CueTrigger, list[str]] = defaultdict(list)
     for cue in stage.cues:
         if cue.shows and cue.on.kind is not TriggerKind.GO:
             by_trigger[cue.on].append(cue.name)
@@ -207,22 +207,22 @@ def _same_triggers(stage: Stage) -> Iterator[Finding]:
                 f"cue {cue.name!r} has the trigger of {others[0]!r}, which comes first: it fires "
                 f"only if that one cannot"
             )
-            yield Finding(cue.line, text)
+            yield StageFinding(cue.line, text)
 
 
-def _unused(stage: Stage) -> Iterator[Finding]:
+def _unused(stage: Stage) -> Iterator[StageFinding]:
     used = {name for cue in stage.cues for name in cue.shows} | {stage.idle, stage.duty.rest}
     for show in stage.shows.values():
         if show.name not in used:
             text = f"no cue plays {show.name!r}; an operator can"
-            yield Finding(show.line, text)
+            yield StageFinding(show.line, text)
 
 
-def _never_enabled(stage: Stage) -> Iterator[Finding]:
+def _never_enabled(stage: Stage) -> Iterator[StageFinding]:
     enabled = {name for cue in stage.cues for name in cue.enables}
     for cue in stage.cues:
         if not cue.is_enabled and cue.name not in enabled:
-            yield Finding(cue.line, f"no cue enables {cue.name!r}; an operator can")
+            yield StageFinding(cue.line, f"no cue enables {cue.name!r}; an operator can")
 
 
 # ---- text

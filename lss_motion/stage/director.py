@@ -24,8 +24,8 @@ from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
 from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
-from lss_motion.stage.model import Cue, Signal, Trigger, TriggerKind
-from lss_motion.stage.orders import Playing, ShowInfo, Waiting
+from lss_motion.stage.model import CueTrigger, Signal, StageCue, TriggerKind
+from lss_motion.stage.orders import OrderedShow, ShowInfo, WaitingShow
 from lss_motion.stage.triggering import FREEWHEEL_S, Bags, CronClock, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
@@ -76,10 +76,10 @@ class Director:
         self.stage = stage
         self.duty = Duty(stage)
         self.shows = dict(shows)
-        self.main: Playing | None = None
-        self.added: list[Playing] = []
-        self.queue: list[Waiting] = []
-        self.left: list[Waiting] = []
+        self.main: OrderedShow | None = None
+        self.added: list[OrderedShow] = []
+        self.queue: list[WaitingShow] = []
+        self.left: list[WaitingShow] = []
         self.is_connected = False
         self.enabled = {cue.name: cue.is_enabled for cue in stage.cues}
         self.armed: str | None = None
@@ -90,7 +90,7 @@ class Director:
         freewheel_s = FREEWHEEL_S if given is None else given.freewheel_s
         self.timecode = TimecodeCues(stage.cues, self._durations_s(), freewheel_s)
         self._orders: deque[orders.Order | orders.Note] = deque()
-        self._leaving: dict[int, Playing] = {}
+        self._leaving: dict[int, OrderedShow] = {}
         self._until_ns: dict[str, int | None] = {}
         """End of the cooldown by cue; None: its show waits or plays."""
         self._fired_ns: dict[str, int] = {}
@@ -126,7 +126,7 @@ class Director:
         is_same = self.main is None or (self.main.show == stage.idle and stage.idle not in changed)
         if not is_same and not self._rests:
             self._leave_all()
-            self._orders.append(orders.Stop())
+            self._orders.append(orders.StopOrder())
         self._settle()
 
     def _durations_s(self) -> dict[str, float]:
@@ -157,7 +157,7 @@ class Director:
         self._note_rest()
         expressions, text = self._cron.due(wall)
         if text:
-            self._orders.append(orders.Noted(text))
+            self._orders.append(orders.Remark(text))
         for expression in expressions:
             self.signal(Signal(kind=TriggerKind.TIME, address=expression), now_ns)
         for cue, start_s in self.timecode.tick(now_ns):
@@ -170,7 +170,7 @@ class Director:
         for cue, start_s in self.timecode.take(at_s, rate, now_ns):
             self._by_timecode(cue, start_s)
 
-    def _by_timecode(self, cue: Cue, start_s: float | None) -> None:
+    def _by_timecode(self, cue: StageCue, start_s: float | None) -> None:
         main, signal = self.main, Signal(kind=TriggerKind.TIMECODE, address=cue.on.address)
         if main is not None and main.cue is cue and main.is_ready:
             main.is_ready = False
@@ -186,13 +186,13 @@ class Director:
         self._fire(cue, signal, start_s)
         self._settle()
 
-    def get_ready(self, cue: Cue, now_ns: int) -> None:
+    def get_ready(self, cue: StageCue, now_ns: int) -> None:
         """Let the show of a cue, as of `coming`, wait at its beginning for the timecode."""
         self._now_ns, show = now_ns, cue.shows[0]
-        self._orders.append(orders.Noted(f"waits at the beginning of {show} (cue {cue.name})"))
+        self._orders.append(orders.Remark(f"waits at the beginning of {show} (cue {cue.name})"))
         self._play(show, cue, waits=True)
 
-    def coming(self, now_ns: int) -> tuple[Cue, float] | None:
+    def coming(self, now_ns: int) -> tuple[StageCue, float] | None:
         """Return the cue whose show follows the timecode next, and the seconds up to it.
 
         None: there is none, or another cue plays. 0 s: it is to wait, since there is no timecode.
@@ -225,20 +225,20 @@ class Director:
     def arm(self, name: str) -> None:
         """Make a cue the next one of GO."""
         self.armed = self._known(name).name
-        self._orders.append(orders.Noted(f"cue {name} is next on GO"))
+        self._orders.append(orders.Remark(f"cue {name} is next on GO"))
 
     def enable(self, name: str, *, is_enabled: bool) -> None:
         """Let a cue fire, or not."""
         self.enabled[self._known(name).name] = is_enabled
-        self._orders.append(orders.Noted(f"cue {name} {'enabled' if is_enabled else 'disabled'}"))
+        self._orders.append(orders.Remark(f"cue {name} {'enabled' if is_enabled else 'disabled'}"))
 
     def play(self, show: str, now_ns: int, start: StartMode = "terminate") -> None:
         """Play a show for an operator."""
         if show not in self.shows:
             raise InputError(f"no show {show!r}; {known_names(show, self.shows)}")
-        cue = Cue(
+        cue = StageCue(
             name=OPERATOR,
-            on=Trigger(kind=TriggerKind.CUE),
+            on=CueTrigger(kind=TriggerKind.CUE),
             shows=(show,),
             start=start,
             priority=OPERATOR_PRIORITY,
@@ -263,7 +263,7 @@ class Director:
         self._now_ns = now_ns
         if self.main is not None and self.main.number == number:
             self._leave_all()
-            self._orders.append(orders.Stop())
+            self._orders.append(orders.StopOrder())
             self._settle()
 
     def is_ready(self, number: int) -> bool:
@@ -282,7 +282,7 @@ class Director:
         goes = [cue.name for cue in self.stage.cues if cue.on.kind is TriggerKind.GO]
         return self.armed or next(iter(goes), None)
 
-    def _known(self, name: str) -> Cue:
+    def _known(self, name: str) -> StageCue:
         cue = self.stage.cue(name)
         if cue is None:
             known = known_names(name, [cue.name for cue in self.stage.cues])
@@ -297,10 +297,10 @@ class Director:
         self._fired_ns[""] = self._now_ns
         if Reason.GO in self.duty.reasons:
             self.duty.end(Reason.GO)
-            self._orders.append(orders.Noted("GO: the stage begins"))
+            self._orders.append(orders.Remark("GO: the stage begins"))
         elif name is None and self._is_halted:
             self._is_halted = False
-            self._orders.append(orders.Noted("GO: the stage goes on"))
+            self._orders.append(orders.Remark("GO: the stage goes on"))
         elif name is None:
             self._refuse("GO", signal, "no cue waits for GO, and none is armed")
         elif self._fire(self._known(name), signal):
@@ -339,7 +339,7 @@ class Director:
         self._note_end(over, outcome)
         if outcome == "finished":
             if over.is_rest and self.stage.duty.is_limp and self._rests:
-                self._orders.append(orders.Relax())
+                self._orders.append(orders.RelaxOrder())
             self.signal(Signal(kind=TriggerKind.END_OF, address=over.show), now_ns)
         self._settle()
 
@@ -350,10 +350,10 @@ class Director:
         if over is None:
             return
         if over.is_rest:
-            self._orders.append(orders.Stop())
+            self._orders.append(orders.StopOrder())
         if over.cue is None:
             self._again_ns = now_ns + AGAIN_NS
-            self._orders.append(orders.Noted(f"show {over.show} cannot be played now: {reason}"))
+            self._orders.append(orders.Remark(f"show {over.show} cannot be played now: {reason}"))
         else:
             self._cool_down(over.cue)
             refused = orders.ShowRefused(cue=over.cue.name, show=over.show, reason=reason)
@@ -384,7 +384,7 @@ class Director:
         self._is_limp = True
         self._leaving.clear()
         self.duty.relax(now_ns)
-        self._orders.append(orders.Noted("the servos are limp"))
+        self._orders.append(orders.Remark("the servos are limp"))
 
     def measured(
         self, temperature_c: float | None, current_a: float | None, now_ns: int, who: str = ""
@@ -394,11 +394,11 @@ class Director:
         self.duty.measured(temperature_c, current_a, now_ns, who)
         if self.duty.rate != self._rate:
             self._rate = self.duty.rate
-            self._orders.append(orders.Rate(self._rate))
-            self._orders.append(orders.Noted(f"plays at {self._rate:.0%} of its speed, by budget"))
+            self._orders.append(orders.RateOrder(self._rate))
+            self._orders.append(orders.Remark(f"plays at {self._rate:.0%} of its speed, by budget"))
         self._settle()
 
-    def _taken(self, number: int) -> Playing | None:
+    def _taken(self, number: int) -> OrderedShow | None:
         """Return the show of that number, which plays no more; None: it did not play."""
         if self.main is not None and self.main.number == number:
             over, self.main = self.main, None
@@ -409,26 +409,28 @@ class Director:
                 return added
         return None
 
-    def _keep_place(self, over: Playing, show_s: float | None) -> None:
+    def _keep_place(self, over: OrderedShow, show_s: float | None) -> None:
         """Keep where an interrupted show was, if it still waits to be resumed."""
         for waiting in self.left:
             if waiting.cue is over.cue and waiting.show_s is None:
                 waiting.show_s = show_s
 
-    def _note_end(self, over: Playing, outcome: orders.Outcome) -> None:
+    def _note_end(self, over: OrderedShow, outcome: orders.Outcome) -> None:
         played_s = s_from_ns(self._now_ns - over.since_ns)
         self._orders.append(
-            orders.ShowEnded(number=over.number, show=over.show, outcome=outcome, played_s=played_s)
+            orders.ShowEndNote(
+                number=over.number, show=over.show, outcome=outcome, played_s=played_s
+            )
         )
         if over.cue is not None and not over.resumes and not over.is_ready:
             self._cool_down(over.cue)
 
-    def _cool_down(self, cue: Cue) -> None:
+    def _cool_down(self, cue: StageCue) -> None:
         self._until_ns[cue.name] = self._now_ns + ns_from_s(cue.cooldown_s)
 
     # ---- cues
 
-    def _fire(self, cue: Cue, signal: Signal, start_s: float | None = None) -> bool:
+    def _fire(self, cue: StageCue, signal: Signal, start_s: float | None = None) -> bool:
         """Do what a cue says, or refuse it; return whether it has fired."""
         if reason := self._refusal(cue) or (self._start(cue, signal, start_s) if cue.shows else ""):
             self._refuse(cue.name, signal, reason)
@@ -438,7 +440,7 @@ class Director:
         self._note_fire(cue)
         return True
 
-    def _note_fire(self, cue: Cue) -> None:
+    def _note_fire(self, cue: StageCue) -> None:
         """Do what a cue that fires does besides its show."""
         self._fired_ns[cue.name] = self._now_ns
         self._is_halted = self._is_halted and not cue.shows
@@ -449,7 +451,7 @@ class Director:
         if cue.deed is not None:
             self._do(cue.deed)
 
-    def _refusal(self, cue: Cue) -> str:
+    def _refusal(self, cue: StageCue) -> str:
         """Return why a cue cannot fire, whatever plays; empty if it can."""
         if not self.enabled.get(cue.name, True):
             return "it is disabled"
@@ -472,7 +474,7 @@ class Director:
         fired_ns = self._fired_ns.get(name)
         return fired_ns is not None and self._now_ns - fired_ns < DEBOUNCE_NS
 
-    def _start(self, cue: Cue, signal: Signal, start_s: float | None) -> str:
+    def _start(self, cue: StageCue, signal: Signal, start_s: float | None) -> str:
         """Play or queue the next show of a cue; return why that is not possible, or nothing."""
         show, main = self._bags.next(cue), self.main
         if show not in self.shows:
@@ -500,12 +502,12 @@ class Director:
         return ""
 
     def _apply(
-        self, start: StartMode, show: str, cue: Cue, signal: Signal, start_s: float | None
+        self, start: StartMode, show: str, cue: StageCue, signal: Signal, start_s: float | None
     ) -> None:
         """Do what a start mode says, after all that could refuse it."""
         main = self.main
         if start == "queue" and (self._playing() or self.queue):
-            self.queue.append(Waiting(show, cue))
+            self.queue.append(WaitingShow(show, cue))
             self._note_fired(cue, signal, f"{show} is queued")
             return
         self._note_fired(cue, signal, f"plays {show}, {start}")
@@ -514,12 +516,12 @@ class Director:
         if start == "interrupt" and main is not None and main in self._playing():
             assert main.cue is not None
             main.resumes = True
-            self.left.append(Waiting(main.show, main.cue))
+            self.left.append(WaitingShow(main.show, main.cue))
         is_beside = start == "add" and (main is not None or self.added)
         how: orders.How = "add" if is_beside else "change"
         self._play(show, cue, how=how, start_s=start_s)
 
-    def _playing(self) -> list[Playing]:
+    def _playing(self) -> list[OrderedShow]:
         """Return the shows that play for a cue, or will when the timecode that runs comes there."""
         main = self.main
         if main is None or main.cue is None:
@@ -527,13 +529,13 @@ class Director:
         is_waiting = main.is_ready and not self.timecode.is_running(self._now_ns)
         return [*self.added] if is_waiting else [main, *self.added]
 
-    def _outranked(self, cue: Cue) -> str:
+    def _outranked(self, cue: StageCue) -> str:
         for playing in self._playing():
             if playing.priority > cue.priority:
                 return f"{playing.show} plays with priority {playing.priority}"
         return ""
 
-    def _why_not_queued(self, cue: Cue) -> str:
+    def _why_not_queued(self, cue: StageCue) -> str:
         if any(waiting.cue is cue for waiting in self.queue):
             return "it is in the queue"
         if len(self.queue) >= QUEUE_MAX:
@@ -549,14 +551,14 @@ class Director:
                 return f"{', '.join(sorted(shared))} in use by {playing.show}"
         return ""
 
-    def _why_not_left(self, cue: Cue, main: Playing) -> str:
+    def _why_not_left(self, cue: StageCue, main: OrderedShow) -> str:
         if main.cue is cue:
             return f"{main.show} plays for it"
         if len(self.left) >= LEFT_MAX:
             return f"{LEFT_MAX} shows wait to be resumed"
         return self._outranked(cue)
 
-    def _note_fired(self, cue: Cue, signal: Signal, what: str) -> None:
+    def _note_fired(self, cue: StageCue, signal: Signal, what: str) -> None:
         self._orders.append(orders.CueFired(cue=cue.name, signal=signal.text, what=what))
 
     def _refuse(self, name: str, signal: Signal, reason: str) -> None:
@@ -567,7 +569,7 @@ class Director:
     def _play(
         self,
         show: str,
-        cue: Cue | None,
+        cue: StageCue | None,
         *,
         how: orders.How = "change",
         start_s: float | None = None,
@@ -576,7 +578,7 @@ class Director:
     ) -> None:
         """Order a show, in place of all others or beside them."""
         self._number += 1
-        playing = Playing(
+        playing = OrderedShow(
             number=self._number,
             show=show,
             cue=cue,
@@ -592,7 +594,7 @@ class Director:
         is_led = waits or (
             cue is not None and cue.start != "add" and self.timecode.is_within(cue, self._now_ns)
         )
-        order = orders.Play(
+        order = orders.PlayOrder(
             number=self._number,
             show=show,
             how=how,
@@ -602,7 +604,7 @@ class Director:
         )
         self._orders.append(order)
         cause = "the rest" if is_rest else "idle" if cue is None else f"cue {cue.name}"
-        self._orders.append(orders.ShowStarted(number=self._number, show=show, cause=cause))
+        self._orders.append(orders.ShowStartNote(number=self._number, show=show, cause=cause))
 
     def _leave_all(self) -> None:
         for playing in [*filter(None, [self.main]), *self.added]:
@@ -612,7 +614,7 @@ class Director:
     def _drop_waiting(self) -> None:
         """Forget the shows that are queued, and those that were to be resumed."""
         for waiting in (*self.queue, *self.left):
-            self._orders.append(orders.Noted(f"show {waiting.show} of {waiting.cue.name} dropped"))
+            self._orders.append(orders.Remark(f"show {waiting.show} of {waiting.cue.name} dropped"))
             self._cool_down(waiting.cue)
         self.queue, self.left = [], []
 
@@ -621,7 +623,7 @@ class Director:
             case "stop":
                 self._drop_waiting()
                 self._leave_all()
-                self._orders.append(orders.Stop())
+                self._orders.append(orders.StopOrder())
             case "rest":
                 self.duty.begin(Reason.OPERATOR)
             case "wake":
@@ -638,7 +640,7 @@ class Director:
             is_waiting |= bool(self.duty.reasons.keys() & {Reason.RETRY, Reason.FAULT})
             if self._must_connect and not is_waiting:
                 self._must_connect = False
-                self._orders.append(orders.Connect())
+                self._orders.append(orders.ConnectOrder())
             return
         if self.duty.reasons:
             self._go_to_rest()
@@ -667,7 +669,7 @@ class Director:
             self._play(rest, None, is_rest=True)
         elif self.main is not None or self.added:
             self._leave_all()
-            self._orders.append(orders.Stop())
+            self._orders.append(orders.StopOrder())
 
     def _next(self) -> None:
         """Resume what was interrupted, then play what is queued, then the idle show."""

@@ -21,19 +21,19 @@ from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.model import (
     ATTEMPTS,
-    Cue,
-    Duty,
+    CueTrigger,
+    DutyRule,
     Listen,
     LogRule,
     Network,
     Retry,
     Stage,
+    StageCue,
     StageFigure,
     StageShow,
-    Trigger,
     TriggerKind,
 )
-from lss_motion.stage.timecode.timecode import FPS_29_97_DROP, RATES, Rate, Timecode
+from lss_motion.stage.timecode.timecode import FPS_29_97_DROP, RATES, FrameRate, Timecode
 from lss_motion.stage.triggering import clock_time, cron_problem
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def load_stage(path: Path | str) -> Stage:
     content, problems, left_out = validate(StageFile, source, blanks={"cues": blank})
     if content is None:
         raise source.error(problems)
-    loader = _Loader(content, left_out, source)
+    loader = _StageLoader(content, left_out, source)
     stage = loader.stage()
     problems += loader.problems
     own = [source.error(problems)] if problems else []
@@ -124,12 +124,12 @@ def timecode_s(text: str, rate_fps: float) -> float | None:
     """
     label = Timecode(*map(int, re.split("[:;]", text)))
     name = FPS_29_97_DROP.name if ";" in text else f"{rate_fps:g}"
-    rate = RATES.get(name) or Rate(name, round(rate_fps), rate_fps)
+    rate = RATES.get(name) or FrameRate(name, round(rate_fps), rate_fps)
     return label.at_s(rate) if label.is_valid(rate) else None
 
 
 @dataclass(slots=True)
-class _Loader:
+class _StageLoader:
     """Builds the stage of one file.
 
     `problems` are those of this file, `errors` those of other files.
@@ -259,8 +259,8 @@ class _Loader:
 
     # ---- cues
 
-    def _cues(self, robot: Robot | None) -> tuple[Cue, ...]:
-        cues: dict[str, Cue] = {}
+    def _cues(self, robot: Robot | None) -> tuple[StageCue, ...]:
+        cues: dict[str, StageCue] = {}
         names = [entry.cue for entry in self.content.cues]
         for index, entry in enumerate(self.content.cues):
             place: Location = ("cues", index)
@@ -277,7 +277,9 @@ class _Loader:
                 self._note((*place, "ready"), text)
         return tuple(cues.values())
 
-    def _cue(self, entry: CueEntry, place: Location, robot: Robot | None, names: list[str]) -> Cue:
+    def _cue(
+        self, entry: CueEntry, place: Location, robot: Robot | None, names: list[str]
+    ) -> StageCue:
         trigger = self._trigger(entry.on, (*place, "on"), robot)
         named = entry.play if isinstance(entry.play, list) else [entry.play]
         shows = [name for name in named if name is not None]
@@ -298,7 +300,7 @@ class _Loader:
                     self._note(
                         (*place, key, number), f"no cue {name!r}; {known_names(name, names)}"
                     )
-        return Cue(
+        return StageCue(
             name=entry.cue,
             on=trigger,
             shows=tuple(shows),
@@ -315,7 +317,7 @@ class _Loader:
             line=self.source.line(place),
         )
 
-    def _follows(self, entry: CueEntry, place: Location, trigger: Trigger) -> bool:
+    def _follows(self, entry: CueEntry, place: Location, trigger: CueTrigger) -> bool:
         """Return whether the show of a cue follows the timecode; note keys that do not belong."""
         if entry.start == "add" and self.content.figures:
             text = "figures play one show together: add does not go with them; queue, or interrupt"
@@ -329,13 +331,13 @@ class _Loader:
             self._note((*place, "ready"), text)
         return follows
 
-    def _trigger(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
+    def _trigger(self, entry: OnEntry, place: Location, robot: Robot | None) -> CueTrigger:
         given = entry.given
         kinds = [kind for kind in TriggerKind if kind in given]
         if len(kinds) != 1:
             known = ", ".join(kind for kind in TriggerKind if kind is not TriggerKind.CUE)
             self._note(place, f"a trigger is one of: {known}")
-            return Trigger(kind=TriggerKind.CUE)
+            return CueTrigger(kind=TriggerKind.CUE)
         kind = kinds[0]
         for key in sorted(given - {kind} - OWN_KEYS.get(kind, frozenset())):
             self._note((*place, key), f"{key} does not belong to {kind}")
@@ -352,15 +354,15 @@ class _Loader:
             case TriggerKind.START | TriggerKind.GO:
                 if getattr(entry, kind) is not True:
                     self._note((*place, kind), f"{kind} can only be true")
-                return Trigger(kind=kind)
+                return CueTrigger(kind=kind)
         return self._message(kind, entry, place)
 
-    def _message(self, kind: TriggerKind, entry: OnEntry, place: Location) -> Trigger:
+    def _message(self, kind: TriggerKind, entry: OnEntry, place: Location) -> CueTrigger:
         """Return the trigger of a message with an address, and maybe with a value."""
         if kind is TriggerKind.END_OF:
             self._show(entry.end_of, (*place, kind))
         side: Side | None = None if entry.above is None else "above"
-        return Trigger(
+        return CueTrigger(
             kind=kind,
             address=str(getattr(entry, kind)),
             side=side,
@@ -377,9 +379,9 @@ class _Loader:
         if not any(entry is not None and getattr(entry, key) for entry in entries):
             self._note((*place, kind), f"nothing listens for it; give '{key}' under listen")
 
-    def _sensor(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
+    def _sensor(self, entry: OnEntry, place: Location, robot: Robot | None) -> CueTrigger:
         assert entry.sensor is not None
-        plain = Trigger(kind=TriggerKind.SENSOR, address=entry.sensor)
+        plain = CueTrigger(kind=TriggerKind.SENSOR, address=entry.sensor)
         if robot is None:
             if self.content.figures:
                 self._note((*place, "sensor"), "sensors belong to one robot, not to figures")
@@ -398,28 +400,30 @@ class _Loader:
             return plain
         side: Side = "below" if keys[0] == allowed[0] else "above"
         threshold = float(getattr(entry, keys[0]))
-        return Trigger(kind=TriggerKind.SENSOR, address=sensor.name, side=side, threshold=threshold)
+        return CueTrigger(
+            kind=TriggerKind.SENSOR, address=sensor.name, side=side, threshold=threshold
+        )
 
-    def _sacn(self, entry: OnEntry, place: Location) -> Trigger:
+    def _sacn(self, entry: OnEntry, place: Location) -> CueTrigger:
         if entry.slot is None:
             self._note(place, "sacn needs slot, from 1 to 512")
-        return Trigger(
+        return CueTrigger(
             kind=TriggerKind.SACN,
             address=f"{entry.sacn}/{entry.slot}",
             side="above",
             threshold=SACN_ABOVE if entry.above is None else entry.above,
         )
 
-    def _time(self, text: str, place: Location) -> Trigger:
+    def _time(self, text: str, place: Location) -> CueTrigger:
         try:
             reason = cron_problem(text)
         except InputError as error:
             reason = error.reason
         if reason:
             self._note((*place, "time"), f"{text!r} {reason}")
-        return Trigger(kind=TriggerKind.TIME, address=text)
+        return CueTrigger(kind=TriggerKind.TIME, address=text)
 
-    def _timecode(self, text: str, place: Location) -> Trigger:
+    def _timecode(self, text: str, place: Location) -> CueTrigger:
         source = self.content.sync.timecode
         if source is None and not self._is_left_out("sync"):
             self._note((*place, "timecode"), "there is no timecode; give one under sync")
@@ -428,7 +432,7 @@ class _Loader:
         if at_s is None:
             reason = f"there is no frame {text} at {rate_fps:g} frames a second"
             self._note((*place, "timecode"), reason)
-        return Trigger(kind=TriggerKind.TIMECODE, address=text, at_s=at_s or 0.0)
+        return CueTrigger(kind=TriggerKind.TIMECODE, address=text, at_s=at_s or 0.0)
 
     # ---- the rest
 
@@ -483,7 +487,7 @@ class _Loader:
             self._note(place, f"port {digits} is not from 1 to 65535")
         return host.strip("[]"), int(digits)
 
-    def _duty(self, entry: DutyEntry) -> Duty:
+    def _duty(self, entry: DutyEntry) -> DutyRule:
         place = "duty"
         self._show(entry.rest, (place, "rest"))
         for key in ("limp", "temperature_c", "current_a"):
@@ -494,7 +498,7 @@ class _Loader:
                 self._note((place, key), text)
         if entry.limp and entry.rest is None:
             self._note((place, "limp"), "limp needs rest, a show that goes to a pose that stands")
-        return Duty(
+        return DutyRule(
             work_s=entry.work_s,
             rest_s=entry.rest_s,
             rest=entry.rest,

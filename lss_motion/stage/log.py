@@ -368,13 +368,13 @@ class Records:
             case orders.ShowRefused():
                 named = {"cue": order.cue, "show": order.show, "reason": order.reason}
                 self.note("not_played", order.text, **named)
-            case orders.ShowStarted():
+            case orders.ShowStartNote():
                 self.note("started", order.text, show=order.show, cause=order.cause)
-            case orders.ShowEnded():
+            case orders.ShowEndNote():
                 self.note("ended", order.text, show=order.show, outcome=order.outcome)
             case orders.RestChanged():
                 self.note("rest", order.text, reasons=list(order.reasons))
-            case orders.Noted():
+            case orders.Remark():
                 self.note("note", order.text)
             case orders.Alert():
                 self.note("alert", order.text, alert=order.kind)

@@ -47,7 +47,7 @@ class TriggerKind(StrEnum):
     """An operator, or another program, fires a cue by its name; no cue waits for it."""
 
 
-class Trigger(Struct, frozen=True, kw_only=True):
+class CueTrigger(Struct, frozen=True, kw_only=True):
     """What fires a cue.
 
     `address` names the source: sensor, key, OSC address, HTTP name, MQTT topic, MIDI number, GPIO
@@ -93,11 +93,11 @@ class Signal(Struct, frozen=True, kw_only=True):
         return f"{self.kind} {self.address}".strip() + value + source
 
 
-class Cue(Struct, frozen=True, kw_only=True):
+class StageCue(Struct, frozen=True, kw_only=True):
     """What is played or done on a trigger."""
 
     name: str
-    on: Trigger
+    on: CueTrigger
     shows: tuple[str, ...] = ()
     choice: Choice = "in_turn"
     deed: Deed | None = None
@@ -145,7 +145,7 @@ class Listen(Struct, frozen=True, kw_only=True):
     line: int | None = None
 
 
-class Duty(Struct, frozen=True, kw_only=True):
+class DutyRule(Struct, frozen=True, kw_only=True):
     """When the figure rests."""
 
     work_s: float | None = None
@@ -216,10 +216,10 @@ class Stage(Struct, frozen=True, kw_only=True):
     robot: Robot | None = None
     shows: Mapping[str, StageShow]
     idle: str | None = None
-    cues: tuple[Cue, ...] = ()
+    cues: tuple[StageCue, ...] = ()
     sync: Sync = Sync()
     listen: Listen = Listen()
-    duty: Duty = Duty()
+    duty: DutyRule = DutyRule()
     retry: Retry = Retry()
     alerts: Alerts = Alerts()
     log: LogRule
@@ -230,7 +230,7 @@ class Stage(Struct, frozen=True, kw_only=True):
     conductor: str | None = None
     """The figure whose computer leads; None without figures."""
 
-    def cue(self, name: str) -> Cue | None:
+    def cue(self, name: str) -> StageCue | None:
         """Return the cue of that name; None: there is none."""
         return next((cue for cue in self.cues if cue.name == name), None)
 

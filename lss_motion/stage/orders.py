@@ -1,6 +1,6 @@
 """What the director orders, and what it notes; `Director.next_order` returns the oldest first.
 
-What it has ordered, and what waits, are `Playing` and `Waiting`.
+What it has ordered, and what waits, are `OrderedShow` and `WaitingShow`.
 
 Orders are obeyed by whoever has the player (`stage.running`). Notes go to the log and to operators:
 `text` says in a line what happened and why.
@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 from msgspec import Struct
 
 if TYPE_CHECKING:
-    from lss_motion.stage.model import Cue
+    from lss_motion.stage.model import StageCue
 
 How = Literal["change", "add"]
 Outcome = Literal["finished", "left", "fault"]
 """How a show ended: by itself, for another show, or by a fault."""
 
 
-class Play(Struct, frozen=True, kw_only=True):
+class PlayOrder(Struct, frozen=True, kw_only=True):
     """Play a show: in place of all that play (`change`), or beside them (`add`)."""
 
     number: int
@@ -36,21 +36,21 @@ class Play(Struct, frozen=True, kw_only=True):
     """It stands at its beginning until the timecode comes there."""
 
 
-class Stop(Struct, frozen=True):
+class StopOrder(Struct, frozen=True):
     """Brake within the limits and hold: no show plays."""
 
 
-class Relax(Struct, frozen=True):
+class RelaxOrder(Struct, frozen=True):
     """Take the power from the servos in the rest pose, until the next show."""
 
 
-class Rate(Struct, frozen=True):
+class RateOrder(Struct, frozen=True):
     """Play at this ratio of the speed."""
 
     ratio: float
 
 
-class Connect(Struct, frozen=True):
+class ConnectOrder(Struct, frozen=True):
     """Begin a new run: check the servos again, set them up. `Director.connected` answers."""
 
 
@@ -100,7 +100,7 @@ class ShowRefused(Struct, frozen=True, kw_only=True):
         return f"cue {self.cue} refused: {self.reason} (show {self.show})"
 
 
-class ShowStarted(Struct, frozen=True, kw_only=True):
+class ShowStartNote(Struct, frozen=True, kw_only=True):
     """A show was ordered: for a cue, as the idle show, or as the way to the rest."""
 
     number: int
@@ -112,7 +112,7 @@ class ShowStarted(Struct, frozen=True, kw_only=True):
         return f"show {self.show} for {self.cause}"
 
 
-class ShowEnded(Struct, frozen=True, kw_only=True):
+class ShowEndNote(Struct, frozen=True, kw_only=True):
     """A show is over."""
 
     number: int
@@ -135,16 +135,16 @@ class RestChanged(Struct, frozen=True):
         return f"rests: {', '.join(self.reasons)}" if self.reasons else "works"
 
 
-class Noted(Struct, frozen=True):
+class Remark(Struct, frozen=True):
     """Something else that explains what happens later."""
 
     text: str
 
 
 Note: TypeAlias = (
-    CueFired | CueRefused | ShowRefused | ShowStarted | ShowEnded | RestChanged | Noted
+    CueFired | CueRefused | ShowRefused | ShowStartNote | ShowEndNote | RestChanged | Remark
 )
-Order: TypeAlias = Play | Stop | Relax | Rate | Connect | Alert
+Order: TypeAlias = PlayOrder | StopOrder | RelaxOrder | RateOrder | ConnectOrder | Alert
 
 
 LEAST_PRIORITY: Final = -101
@@ -160,12 +160,12 @@ class ShowInfo(Struct, frozen=True, kw_only=True):
 
 
 @dataclass(slots=True, kw_only=True)
-class Playing:
+class OrderedShow:
     """A show that was ordered."""
 
     number: int
     show: str
-    cue: Cue | None
+    cue: StageCue | None
     """None: the idle show, or the way to the rest."""
     since_ns: int
     is_rest: bool = False
@@ -180,9 +180,9 @@ class Playing:
 
 
 @dataclass(slots=True)
-class Waiting:
+class WaitingShow:
     """A show that waits: queued, or interrupted at a show time."""
 
     show: str
-    cue: Cue
+    cue: StageCue
     show_s: float | None = None

@@ -56,11 +56,11 @@ if TYPE_CHECKING:
     from lss_motion.stage.check import Planned
     from lss_motion.stage.log import Record
     from lss_motion.stage.stage_timecode import Out
-    from lss_motion.stage.timecode.source import Legs
+    from lss_motion.stage.timecode.source import LegSource
 
 
 @dataclass(slots=True)
-class Playing:
+class NumberedShows:
     """The shows of the player by the numbers of the director."""
 
     main: int | None = None
@@ -72,7 +72,7 @@ class Playing:
     begun: set[str] = field(default_factory=set)
     """Those of the added ones that have begun."""
 
-    def leave(self, order: orders.Play | None) -> list[tuple[int, float | None]]:
+    def leave(self, order: orders.PlayOrder | None) -> list[tuple[int, float | None]]:
         """Note what was ordered in place of all; return what is over at once: it had not begun."""
         waiting = self.added.keys() - self.begun
         over: list[tuple[int, float | None]] = [(self.added.pop(name), None) for name in waiting]
@@ -209,7 +209,7 @@ class StageRun:
         steerer: Steerer | None = None,
         note: Callable[[Record], None] | None = None,
         tap: Callable[[int], Tap] | None = None,
-        legs: Legs | None = None,
+        legs: LegSource | None = None,
         outs: Sequence[Out] = (),
     ) -> None:
         """`legs`: the source of its timecode; `outs`: the receivers of the show clock."""
@@ -239,7 +239,7 @@ class StageRun:
         self.ring = Ring(stage.log.ring_s)
         self._offset_ns = 0
         """Added to the clock of the present run."""
-        self._playing = Playing()
+        self._playing = NumberedShows()
         self._rate, self._rated_ns = 1.0, 0
         self._is_led = self._must_stop = False
         """Whether the present show follows the timecode; and whether it is to be left, as soon as
@@ -318,7 +318,7 @@ class StageRun:
 
     def _begin_run(self) -> None:
         self._must_connect = False
-        self._playing = Playing()
+        self._playing = NumberedShows()
         self._celsius, self._amperes = {}, {}
         self._rate, self._rated_ns = 1.0, -RATE_EVERY_NS
         self._is_led = self._must_stop = False
@@ -529,19 +529,19 @@ class StageRun:
             self._stop(player, now_ns)
         while (order := self.director.next_order()) is not None:
             match order:
-                case orders.Play():
+                case orders.PlayOrder():
                     self._play(order, player, now_ns)
-                case orders.Stop() if player is not None:
+                case orders.StopOrder() if player is not None:
                     self._stop(player, now_ns)
-                case orders.Relax() if player is not None:
+                case orders.RelaxOrder() if player is not None:
                     self._is_relaxing = True
                     player.finish(now_ns)
-                case orders.Connect():
+                case orders.ConnectOrder():
                     self._must_connect = True
                 case _:
                     self._records.note_order(order, self.now_ns)
 
-    def _play(self, order: orders.Play, player: Player | None, now_ns: int) -> None:
+    def _play(self, order: orders.PlayOrder, player: Player | None, now_ns: int) -> None:
         if player is None:
             self.director.refused(order.number, "the run has ended", self.now_ns)
             return
@@ -562,7 +562,7 @@ class StageRun:
         except InputError:
             self._must_stop = True
 
-    def _change(self, player: Player, order: orders.Play | None, now_ns: int) -> None:
+    def _change(self, player: Player, order: orders.PlayOrder | None, now_ns: int) -> None:
         """Play another show in place of all, or none; those that had not begun are over at once."""
         program = None if order is None else player.repertoire.programs[order.show]
         start_s = None if order is None else order.start_s

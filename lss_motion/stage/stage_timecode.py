@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from lss_motion.errors import InputError
 from lss_motion.playing.player.following import FIRST_SLACK_S, RUNNING_RATE, Following, FollowRule
 from lss_motion.playing.player.show_clock import Leg
-from lss_motion.stage.timecode.chase import State
+from lss_motion.stage.timecode.chase import ChaseState
 from lss_motion.stage.timecode.timecode import read_follow, read_send
 from lss_motion.stage.triggering import JUMP_S
 from lss_motion.system.clock import MonotonicClock
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from lss_motion.playing.remote.schema import Follow
     from lss_motion.stage.director import Director
     from lss_motion.stage.file import SendOutput, TimecodeInput
-    from lss_motion.stage.orders import Play, Playing
-    from lss_motion.stage.timecode.source import Legs, TimecodeSource
+    from lss_motion.stage.orders import OrderedShow, PlayOrder
+    from lss_motion.stage.timecode.source import LegSource, TimecodeSource
     from lss_motion.stage.timecode.timecode import FollowSpec, SendSpec
 
 AGAIN_NS: Final = 10 * NS_PER_S
@@ -115,12 +115,12 @@ class OwnSource(Closing):
 class StageTimecode:
     """The timecode of one stage, through all runs of the player."""
 
-    def __init__(self, given: TimecodeInput, legs: Legs | None = None) -> None:
+    def __init__(self, given: TimecodeInput, legs: LegSource | None = None) -> None:
         """`legs`: where it comes from; None: only from `take`."""
         self._given, self._legs = given, legs
         self._rule = FollowRule(freewheel_s=given.freewheel_s, lost=given.lost)
         self._leg: Leg | None = None
-        self._source, self._word = "", State.SEARCHING.value
+        self._source, self._word = "", ChaseState.SEARCHING.value
         self._received_ns = 0
         self._is_new = self._is_lost = False
         self._texts: list[str] = []
@@ -143,7 +143,7 @@ class StageTimecode:
         self._leg = Leg(leg.instant_ns, leg.show_s, leg.rate)
         self._received_ns, self._is_new, self._is_lost = now_ns, True, False
         self._source = leg.source or self._source
-        running = State.LOCKED if leg.rate >= RUNNING_RATE else State.STANDING
+        running = ChaseState.LOCKED if leg.rate >= RUNNING_RATE else ChaseState.STANDING
         self._word = leg.state or running.value
 
     def turn(self, director: Director, now_ns: int) -> None:
@@ -166,7 +166,7 @@ class StageTimecode:
             director.leave(self.number, now_ns)
         self._texts += () if self._legs is None else self._legs.take_texts()
         after = self._state(now_ns)
-        if after != before and State.SEARCHING.value not in (after, before):
+        if after != before and ChaseState.SEARCHING.value not in (after, before):
             self._texts.append(f"{after}, at {self._text(now_ns)}")
         elif after != before:
             self._texts.append(f"{after} to {self._source or self._given.source}")
@@ -193,7 +193,7 @@ class StageTimecode:
             director.get_ready(cue, now_ns)
 
     def begin(
-        self, order: Play, program: Program, player: Player, now_ns: int, offset_ns: int
+        self, order: PlayOrder, program: Program, player: Player, now_ns: int, offset_ns: int
     ) -> float | None:
         """Return the show time at which a show is to join the timecode.
 
@@ -276,11 +276,11 @@ class StageTimecode:
 
     def _state(self, now_ns: int) -> str:
         if self._leg is None:
-            return State.SEARCHING.value
+            return ChaseState.SEARCHING.value
         if self._is_lost:
-            return State.LOST.value
+            return ChaseState.LOST.value
         is_silent = now_ns - self._received_ns > SILENT_NS
-        return State.FREEWHEELING.value if is_silent else self._word
+        return ChaseState.FREEWHEELING.value if is_silent else self._word
 
     def _text(self, now_ns: int) -> str:
         if self._leg is None:
@@ -345,7 +345,7 @@ class Sending:
         self._last_s = 0.0
         self._stands: ClockLeg | None = None
 
-    def turn(self, player: Player, main: Playing | None, now_ns: int) -> None:
+    def turn(self, player: Player, main: OrderedShow | None, now_ns: int) -> None:
         """Send the clock of `main` if it plays for a cue; None: it has not begun."""
         if not self._outs:
             return

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from random import Random
 
-    from lss_motion.stage.model import Cue, Signal
+    from lss_motion.stage.model import Signal, StageCue
 
 SENSOR_TIMES: Final = 2
 """So many readings in a row: a reply has no checksum, and one flipped bit must not start a show
@@ -69,16 +69,16 @@ class _Edge:
 class Triggers:
     """The cues of a stage, by what triggers them."""
 
-    cues: tuple[Cue, ...]
+    cues: tuple[StageCue, ...]
     _edges: dict[str, _Edge] = field(default_factory=dict)
 
-    def triggered(self, signal: Signal) -> list[Cue]:
+    def triggered(self, signal: Signal) -> list[StageCue]:
         """Return the cues that a signal triggers, in the order of the file."""
         if signal.kind is TriggerKind.CUE:
             return [cue for cue in self.cues if cue.name == signal.address]
         return [cue for cue in self.cues if _matches(cue, signal) and self._passes(cue, signal)]
 
-    def _passes(self, cue: Cue, signal: Signal) -> bool:
+    def _passes(self, cue: StageCue, signal: Signal) -> bool:
         if cue.on.side is None:
             return not (signal.kind in PRESSED and signal.value == 0)
         if signal.value is None:
@@ -88,7 +88,7 @@ class Triggers:
         return edge.passes(is_met=cue.on.is_met(signal.value))
 
 
-def _matches(cue: Cue, signal: Signal) -> bool:
+def _matches(cue: StageCue, signal: Signal) -> bool:
     on = cue.on
     is_same = on.kind is signal.kind and on.address == signal.address
     return is_same and on.channel in (None, signal.channel)
@@ -98,7 +98,10 @@ class TimecodeCues:
     """Which cues the timecode passes, and which show it is in after a jump."""
 
     def __init__(
-        self, cues: Iterable[Cue], duration_s: dict[str, float], freewheel_s: float = FREEWHEEL_S
+        self,
+        cues: Iterable[StageCue],
+        duration_s: dict[str, float],
+        freewheel_s: float = FREEWHEEL_S,
     ) -> None:
         """Take the cues of a stage, and the durations of its shows."""
         self._freewheel_ns = ns_from_s(freewheel_s)
@@ -108,7 +111,7 @@ class TimecodeCues:
         self._rate = 0.0
         self._now_ns = self._received_ns = 0
 
-    def renew(self, cues: Iterable[Cue], duration_s: dict[str, float]) -> None:
+    def renew(self, cues: Iterable[StageCue], duration_s: dict[str, float]) -> None:
         """Go on with other cues and shows."""
         timed = (cue for cue in cues if cue.on.kind is TriggerKind.TIMECODE)
         self._cues = sorted(timed, key=lambda cue: cue.on.at_s)
@@ -116,7 +119,7 @@ class TimecodeCues:
 
     def take(
         self, at_s: float | None, rate: float, now_ns: int
-    ) -> Iterator[tuple[Cue, float | None]]:
+    ) -> Iterator[tuple[StageCue, float | None]]:
         """Take a position; yield the cues that were passed, each with where its show begins.
 
         None: at its beginning. After a jump forward or back it is the show in which the timecode
@@ -136,7 +139,7 @@ class TimecodeCues:
         # It does not go back for a source whose positions scatter: nothing is passed twice.
         self._at_s, self._rate, self._now_ns = max(at_s, self._at_s), rate, now_ns
 
-    def tick(self, now_ns: int) -> Iterator[tuple[Cue, float | None]]:
+    def tick(self, now_ns: int) -> Iterator[tuple[StageCue, float | None]]:
         """Yield the cues that were passed since the last position."""
         at_s = self._expected_s(now_ns)
         if (
@@ -161,7 +164,7 @@ class TimecodeCues:
             return None
         return self._at_s + s_from_ns(now_ns - self._now_ns) * self._rate
 
-    def _pass_to(self, at_s: float, now_ns: int) -> Iterator[tuple[Cue, None]]:
+    def _pass_to(self, at_s: float, now_ns: int) -> Iterator[tuple[StageCue, None]]:
         assert self._at_s is not None
         from_s = self._at_s
         if at_s > from_s:
@@ -170,7 +173,7 @@ class TimecodeCues:
             if from_s < cue.on.at_s <= at_s:
                 yield cue, None
 
-    def _within(self, at_s: float) -> Cue | None:
+    def _within(self, at_s: float) -> StageCue | None:
         """Return the last cue whose first show is under way at this position."""
         found = None
         for cue in self._cues:
@@ -178,13 +181,13 @@ class TimecodeCues:
                 found = cue
         return found
 
-    def under_way(self, now_ns: int) -> Iterator[tuple[Cue, float]]:
+    def under_way(self, now_ns: int) -> Iterator[tuple[StageCue, float]]:
         """Yield the cue in whose show the timecode runs now, and its show time."""
         at_s = self._expected_s(now_ns)
         if at_s is not None and self._rate > 0.0 and (found := self._within(at_s)) is not None:
             yield found, at_s - found.on.at_s
 
-    def coming(self, now_ns: int) -> tuple[Cue, float] | None:
+    def coming(self, now_ns: int) -> tuple[StageCue, float] | None:
         """Return the next cue whose show follows, and the seconds up to it, also of a stand."""
         at_s = self._expected_s(now_ns)
         if at_s is None:
@@ -202,12 +205,12 @@ class TimecodeCues:
         """Return whether there is timecode, and it does not stand."""
         return self._expected_s(now_ns) is not None and self._rate > 0.0
 
-    def is_within(self, cue: Cue, now_ns: int) -> bool:
+    def is_within(self, cue: StageCue, now_ns: int) -> bool:
         """Return whether the timecode runs, and is in the first show of this cue."""
         at_s = self._expected_s(now_ns)
         return at_s is not None and self._rate > 0.0 and self._lasts(cue, at_s)
 
-    def _lasts(self, cue: Cue, at_s: float) -> bool:
+    def _lasts(self, cue: StageCue, at_s: float) -> bool:
         """Return whether the first show of a cue that follows is under way at this position."""
         if not cue.shows or not cue.follows:
             return False
@@ -224,7 +227,7 @@ class Bags:
         self._random = random
         self._coming: dict[str, list[str]] = {}
 
-    def next(self, cue: Cue) -> str:
+    def next(self, cue: StageCue) -> str:
         """Return the show that the cue plays next; it stays the next one until it is taken."""
         if len(cue.shows) == 1:
             return cue.shows[0]
@@ -236,7 +239,7 @@ class Bags:
         """Begin anew: cues may have other shows."""
         self._coming.clear()
 
-    def take(self, cue: Cue) -> None:
+    def take(self, cue: StageCue) -> None:
         """Note that the next show is played."""
         if len(cue.shows) == 1:
             return
@@ -244,7 +247,7 @@ class Bags:
         if not self._coming[cue.name]:
             self._coming[cue.name] = self._filled(cue, last)
 
-    def _filled(self, cue: Cue, last: str | None) -> list[str]:
+    def _filled(self, cue: StageCue, last: str | None) -> list[str]:
         """Return all shows of a cue; a random order does not begin with `last`."""
         shows = list(cue.shows)
         if cue.choice == "random":

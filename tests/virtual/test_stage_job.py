@@ -20,7 +20,7 @@ from lss_motion.stage.check import plan_stage
 from lss_motion.stage.file import Sync, TimecodeInput
 from lss_motion.stage.job import StageSteering, options_of, stage_job
 from lss_motion.stage.load import load_stage
-from lss_motion.stage.model import Cue, Trigger, TriggerKind
+from lss_motion.stage.model import CueTrigger, StageCue, TriggerKind
 from lss_motion.stage.running import Options, StageRun
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 
@@ -200,8 +200,8 @@ def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():
 
 def test_timecode_starts_its_shows_also_in_their_middle(planned):
     """The legs are those of `playing.remote.schema.Follow`; their place is that of the timecode."""
-    on = Trigger(kind=TriggerKind.TIMECODE, address="00:01:40:00", at_s=100.0)
-    cue = Cue(name="tc", on=on, shows=("hello",), follows=True, start="terminate")
+    on = CueTrigger(kind=TriggerKind.TIMECODE, address="00:01:40:00", at_s=100.0)
+    cue = StageCue(name="tc", on=on, shows=("hello",), follows=True, start="terminate")
     stage = replace(planned.stage, cues=(cue,), sync=Sync(timecode=TimecodeInput(source="ltc")))
     legs = [
         (

@@ -11,7 +11,7 @@ import numpy as np
 from lss_motion.stage.timecode.timecode import FPS_24, FPS_25, FPS_29_97_DROP, FPS_30, Timecode
 
 if TYPE_CHECKING:
-    from lss_motion.stage.timecode.timecode import Rate
+    from lss_motion.stage.timecode.timecode import FrameRate
 
 INSTALL = "sudo apt install libltc11"
 
@@ -86,7 +86,7 @@ def _library() -> Any:  # noqa: ANN401  (functions of C)
     return found
 
 
-def made_by_libltc(labels: list[Timecode], rate: Rate, rate_hz: int) -> np.ndarray:
+def made_by_libltc(labels: list[Timecode], rate: FrameRate, rate_hz: int) -> np.ndarray:
     """Return the sound of these labels, -1 to 1."""
     lib = _library()
     encoder = lib.ltc_encoder_create(rate_hz, rate.frames_per_s, STANDARDS[rate], 0)
@@ -109,7 +109,7 @@ def made_by_libltc(labels: list[Timecode], rate: Rate, rate_hz: int) -> np.ndarr
 
 
 def read_by_libltc(
-    sound: np.ndarray, rate: Rate, rate_hz: int
+    sound: np.ndarray, rate: FrameRate, rate_hz: int
 ) -> list[tuple[Timecode, bool, bool, int]]:
     """Return the label, drop-frame, reverse and last sample of each frame that is read."""
     lib = _library()

@@ -27,9 +27,9 @@ from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.stage.hosts.clocks import EVERY_NS, ClockEstimator, Exchange
-from lss_motion.stage.hosts.conductor import State
+from lss_motion.stage.hosts.conductor import ConductorState
 from lss_motion.stage.hosts.host import TICK_NS
-from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, Status, packed, parse
+from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, FigureStatus, packed, parse
 from lss_motion.stage.hosts.peer import NetworkSettings
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.player import Player
     from lss_motion.robot.model import Robot
-    from lss_motion.stage.hosts.figure import Follow
+    from lss_motion.stage.hosts.figure import FollowLeg
     from lss_motion.stage.hosts.peer import Peer
 
 HOSTS: Final = 8
@@ -244,7 +244,7 @@ def moving(robot: Robot, show_s: float) -> Program:
 class Told:
     """Controls that tell a player what its figure was told, at the same instants."""
 
-    def __init__(self, follows: list[tuple[int, Follow]], began_ns: int) -> None:
+    def __init__(self, follows: list[tuple[int, FollowLeg]], began_ns: int) -> None:
         self._follows = [(at - began_ns, follow) for at, follow in follows]
         self._began_ns = began_ns
         self._index = 0
@@ -264,7 +264,7 @@ class Told:
         self.following.turn(player, now_ns)
 
 
-def played(program: Program, robot: Robot, follows: list[tuple[int, Follow]]) -> list[int]:
+def played(program: Program, robot: Robot, follows: list[tuple[int, FollowLeg]]) -> list[int]:
     """Play it in virtual time; return at which own instants its moves reached the servo."""
     began_ns = follows[0][1].instant_ns - ARMED_NS
     told = Told(follows, began_ns)
@@ -296,7 +296,7 @@ def limits(hosts: int = 200) -> list[Row]:
 
     def take() -> None:
         for _ in range(count):
-            world.conductor.take_status(parse(Status, status), 0)
+            world.conductor.take_status(parse(FigureStatus, status), 0)
 
     def answered() -> None:
         for _ in range(count):
@@ -333,12 +333,12 @@ def many() -> list[Row]:
     )
     world.tick_ns = 50 * NS_PER_MS
     world.verify_ns = round(verify_s * NS_PER_S)
-    while world.conductor.state is not State.ARMING:
-        if world.conductor.state in (State.CONNECTING, State.STANDING):
+    while world.conductor.state is not ConductorState.ARMING:
+        if world.conductor.state in (ConductorState.CONNECTING, ConductorState.STANDING):
             world.play()  # It was refused, as plans were fetched for too long.
         world.run(0.1)
     ready_s = world.now_ns / NS_PER_S
-    world.wait(State.PLAYING)
+    world.wait(ConductorState.PLAYING)
     world.run(5.0)
     before = (world.from_conductor_bytes, world.to_conductor_bytes)
     world.run(5.0)

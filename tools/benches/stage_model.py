@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.playing.player.events import Phase
 from lss_motion.stage.hosts.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
-from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor, State, Wish
+from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor, ConductorState, Wish
 from lss_motion.stage.hosts.figure import (
     Action,
-    Arm,
+    ArmPlayer,
     Fetch,
-    Figure,
-    Follow,
+    FollowingFigure,
+    FollowLeg,
     PlayerReport,
     StopPlayer,
     Verify,
@@ -104,12 +104,12 @@ class ModelPlayer:
     def __init__(self, arm_ns: int, duration_s: float) -> None:
         self.report = PlayerReport()
         self.does = "none"
-        self.follows: list[tuple[int, Follow]] = []
+        self.follows: list[tuple[int, FollowLeg]] = []
         self.stops = 0
         self._arm_ns, self._duration_s = arm_ns, duration_s
         self._at_ns = 0
-        self._leg: Follow | None = None
-        self._coming: Follow | None = None
+        self._leg: FollowLeg | None = None
+        self._coming: FollowLeg | None = None
         self._told_ns = 0
         self.starts = 0
         self.way_ns = 0
@@ -122,12 +122,12 @@ class ModelPlayer:
 
     def act(self, action: Action, now_ns: int) -> None:
         match action:
-            case Arm():
+            case ArmPlayer():
                 self.becomes("starting")
                 self._at_ns = now_ns + self._arm_ns
                 self._leg = self._coming = None
                 self.starts += 1
-            case Follow() if self.does in ("standing", "playing"):
+            case FollowLeg() if self.does in ("standing", "playing"):
                 self.follows.append((now_ns, action))
                 self._told_ns = max(now_ns, action.instant_ns)
                 if self._leg is None or action.instant_ns <= now_ns:
@@ -151,7 +151,7 @@ class ModelPlayer:
                 self._follow(self._leg, now_ns)
         return self.report
 
-    def _follow(self, leg: Follow, now_ns: int) -> None:
+    def _follow(self, leg: FollowLeg, now_ns: int) -> None:
         until_ns = min(now_ns, self._told_ns + FREEWHEEL_NS)
         show_s = leg.show_s + leg.rate * (until_ns - leg.instant_ns) / NS_PER_S
         if leg.rate == 0.0 and show_s != self.report.show_s:
@@ -179,7 +179,7 @@ class Host:
     def start(self) -> None:
         """Start, or start again with an empty memory."""
         self._instances += 1
-        self.figure = Figure(
+        self.figure = FollowingFigure(
             name=self.name,
             conductor=self.world.conductor.name,
             robot=self.world.robots.get(self.name, hash_of(self.name.encode())),
@@ -387,14 +387,14 @@ class World:
         self._number += 1
         self.conductor.play(Wish(number=self._number, cast=self.cast, **fields), self.now_ns)
 
-    def wait(self, *states: State, seconds: float = 60.0) -> None:
+    def wait(self, *states: ConductorState, seconds: float = 60.0) -> None:
         """Let time pass until the conductor is in one of these states."""
         assert self.run(seconds, lambda: self.conductor.state in states), self.notes
 
     def go(self) -> None:
         """Play the show from its start."""
         self.play()
-        self.wait(State.PLAYING)
+        self.wait(ConductorState.PLAYING)
 
     def spread_ns(self, show_s: float) -> list[float]:
         """Return at which true instants the hosts are at `show_s`, by the legs they were told."""

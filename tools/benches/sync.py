@@ -21,7 +21,7 @@ from lss_motion.playing.player.following import Following, FollowRule, Step
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.playing.run import Observer, perform
 from lss_motion.stage.timecode import chase
-from lss_motion.stage.timecode.chase import Chase, Observation
+from lss_motion.stage.timecode.chase import Chase, TimecodeObservation
 from lss_motion.stage.timecode.ltc import sound_of
 from lss_motion.stage.timecode.receive import LtcReader
 from lss_motion.stage.timecode.timecode import FPS_25, timecode_of
@@ -44,7 +44,9 @@ TURNS = ("alone", "following", "following", "alone")
 """The computer may have other work for a while: both have their runs near each other."""
 
 
-def heard(seconds: float, jump_at_s: float, jump_s: float) -> tuple[list[Observation], float]:
+def heard(
+    seconds: float, jump_at_s: float, jump_s: float
+) -> tuple[list[TimecodeObservation], float]:
     """Return the frames of LTC as they are read, and the processor time of a second of sound.
 
     Instants count from the first sample. Positions are those of the show.
@@ -75,7 +77,7 @@ class Tape:
 
     def __init__(
         self,
-        observations: list[Observation],
+        observations: list[TimecodeObservation],
         leader_s: Callable[[float], float],
         style: chase.Style = chase.LTC,
     ) -> None:
@@ -165,7 +167,7 @@ def _midi_row() -> Row:
     for quarter in range(100 * 26):
         sent_s = quarter / 100.0
         came_s = (np.floor(sent_s / period_s) + 1.0) * period_s
-        frames.append(Observation(round(came_s * NS), sent_s - BEGIN_S))
+        frames.append(TimecodeObservation(round(came_s * NS), sent_s - BEGIN_S))
     tape = Tape(frames, lambda seconds: seconds - BEGIN_S - 0.5 * period_s, chase.MTC)
     follow(tape)
     return row("MIDI timecode in periods of 21 ms, less half of one", tape.errors_s(6.0, 20.0))
@@ -180,7 +182,9 @@ def _hour_row() -> Row:
     for number in range(3600 * 25):
         now_s = number / 25.0
         position_s += 0.04 * (1.0 + DRIFT * np.sin(now_s / 300.0))
-        chased.take(Observation(round((now_s + abs(luck.normal(0, 2e-5))) * NS), position_s))
+        chased.take(
+            TimecodeObservation(round((now_s + abs(luck.normal(0, 2e-5))) * NS), position_s)
+        )
         for leg in chased.take_legs():
             if clock is None:
                 clock = ShowClock(leg.instant_ns, leg.show_s, 1.0)
@@ -197,7 +201,7 @@ def _lateness_rows() -> list[Row]:
     found: dict[str, list[TimingReport]] = {"alone": [], "following": []}
     for what in TURNS:
         frames = [
-            Observation(round(n * 0.04 * (1.0 + DRIFT) * NS), n * 0.04 - BEGIN_S)
+            TimecodeObservation(round(n * 0.04 * (1.0 + DRIFT) * NS), n * 0.04 - BEGIN_S)
             for n in range(25 * 60)
         ]
         tape = Tape(frames, lambda seconds: seconds - BEGIN_S)

@@ -83,7 +83,7 @@ class ConductedStage:
             start_at=start_at,
         )
         self.records = Records(stage, wall, write)
-        self._order: orders.Play | None = None
+        self._order: orders.PlayOrder | None = None
         """The show that plays, or is about to."""
         self._plays_first = plays_first
         self._offer()
@@ -167,16 +167,16 @@ class ConductedStage:
             self.records.note_counts(now_ns)
         while (order := director.next_order()) is not None:
             match order:
-                case orders.Play():
+                case orders.PlayOrder():
                     self._play(order)
-                case orders.Stop():
+                case orders.StopOrder():
                     self.conductor.leave(now_ns)
-                case orders.Connect():
+                case orders.ConnectOrder():
                     self.conductor.connect(now_ns)
                 case _:
                     self.records.note_order(order, now_ns)
 
-    def _play(self, order: orders.Play) -> None:
+    def _play(self, order: orders.PlayOrder) -> None:
         """Let the conductor play a show instead of the present one."""
         offer, given = self._offers[order.show], self.stage.sync.timecode
         try:

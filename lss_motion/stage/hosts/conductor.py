@@ -38,15 +38,15 @@ from lss_motion.errors import InputError
 from lss_motion.playing.player.following import RUNNING_RATE
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.robot.on_fault import Cause
-from lss_motion.stage.hosts.legs import LEAD_NS, Legs
-from lss_motion.stage.hosts.messages import EPOCHS_AHEAD, Beat, StopAll, hash_of, packed
+from lss_motion.stage.hosts.legs import LEAD_NS, ShowLegs
+from lss_motion.stage.hosts.messages import EPOCHS_AHEAD, ConductorBeat, StopAll, hash_of, packed
 from lss_motion.stage.hosts.remote_figures import LOST_NS, PLAYABLE, TWICE, RemoteFigure
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
-    from lss_motion.stage.hosts.messages import Cast, NetworkLeg, Status, Wanted
+    from lss_motion.stage.hosts.messages import Cast, FigureStatus, NetworkLeg, Wanted
     from lss_motion.stage.orders import Outcome
 
 Others = Literal["go_on", "slow", "hold"]
@@ -96,7 +96,7 @@ ARM_LEAD_LEAST_S: Final = 4.0
 but no less than this, as the way may be longer this time."""
 
 
-class State(StrEnum):
+class ConductorState(StrEnum):
     """What the conductor does."""
 
     CONNECTING = "connecting"
@@ -147,8 +147,8 @@ class Conductor:
         self.others = others
         self.figures = {one: RemoteFigure(one) for one in figures}
         self.listener: Listener | None = None
-        self.state = State.CONNECTING
-        self.legs = Legs()
+        self.state = ConductorState.CONNECTING
+        self.legs = ShowLegs()
         self.run = 0
         """Counts the shows that were armed."""
         self.catalogue: str | None = None
@@ -163,7 +163,7 @@ class Conductor:
         """How long the last start took until all robots stood at their place."""
         self._wish: Wish | None = None
         """What plays, or is about to."""
-        self._after_leaving = State.STANDING
+        self._after_leaving = ConductorState.STANDING
         """Where `leaving` leads to without a wish."""
         self._at_rest: Wanted = "nothing"
         """What is wanted of figures whose robots are not wanted at a show."""
@@ -192,17 +192,21 @@ class Conductor:
     @property
     def wanted(self) -> Wanted:
         """What is wanted of all figures."""
-        return "armed" if self.state in (State.ARMING, State.PLAYING) else self._at_rest
+        return (
+            "armed"
+            if self.state in (ConductorState.ARMING, ConductorState.PLAYING)
+            else self._at_rest
+        )
 
     @property
     def cast(self) -> Cast | None:
         """The show that figures are wanted for, or were last."""
         return None if self._cast is None else self._cast[0]
 
-    def beat(self) -> Beat:
+    def beat(self) -> ConductorBeat:
         """Return the next beat."""
         self._count += 1
-        return Beat(
+        return ConductorBeat(
             conductor=self.name,
             epoch=self.epoch,
             instance=self.instance,
@@ -222,7 +226,7 @@ class Conductor:
 
     # ---- what arrives
 
-    def take_status(self, status: Status, now_ns: int) -> None:
+    def take_status(self, status: FigureStatus, now_ns: int) -> None:
         """Take the state of a figure."""
         figure = self.figures.get(status.figure)
         if figure is None:
@@ -239,7 +243,7 @@ class Conductor:
         if (figure := self.figures.get(name)) is not None:
             figure.other_protocol, figure.heard_ns = protocol, now_ns
 
-    def _meet(self, figure: RemoteFigure, status: Status, now_ns: int) -> None:
+    def _meet(self, figure: RemoteFigure, status: FigureStatus, now_ns: int) -> None:
         """Begin a later epoch than that of the conductor before this one, or give way to it.
 
         A show is given up only for what a figure says for `LOST_NS`: one message may be anyone's.
@@ -262,7 +266,7 @@ class Conductor:
         if (figure := self.figures.get(name)) is not None:
             figure.take_alive(is_alive=is_alive)
 
-    def take_beat(self, beat: Beat, now_ns: int) -> None:
+    def take_beat(self, beat: ConductorBeat, now_ns: int) -> None:
         """Take the beat of another conductor of this stage: one of the two is wrong.
 
         While figures play what this one says, it is the other one, however late that began.
@@ -309,33 +313,33 @@ class Conductor:
     def leave(self, now_ns: int) -> None:
         """Let all figures brake, hold and end."""
         self._now_ns = now_ns
-        if self.state not in (State.CONNECTING, State.STANDING):
+        if self.state not in (ConductorState.CONNECTING, ConductorState.STANDING):
             self._leave(None)
 
     def connect(self, now_ns: int) -> None:
         """Wait until all figures are there, as at the beginning."""
         self._now_ns = now_ns
-        if self.state is State.STANDING:
-            self._enter(State.CONNECTING)
-        elif self.state is not State.CONNECTING:
-            if self.state is not State.LEAVING or self._wish is not None:
+        if self.state is ConductorState.STANDING:
+            self._enter(ConductorState.CONNECTING)
+        elif self.state is not ConductorState.CONNECTING:
+            if self.state is not ConductorState.LEAVING or self._wish is not None:
                 self._leave(None)
-            self._after_leaving = State.CONNECTING
+            self._after_leaving = ConductorState.CONNECTING
 
     def _leave(self, wish: Wish | None) -> None:
-        if self.state is not State.LEAVING:
-            self._after_leaving = State.STANDING
+        if self.state is not ConductorState.LEAVING:
+            self._after_leaving = ConductorState.STANDING
         if self.wanted == "armed":
             self._notes.append("STOP for all")
             self.stops += 1
         show_s = self.legs.show_s(self._now_ns)
         start_s = 0.0 if self._wish is None else self._wish.start_s
-        self._drop(State.LEAVING, "left", start_s if show_s is None else max(show_s, 0.0))
+        self._drop(ConductorState.LEAVING, "left", start_s if show_s is None else max(show_s, 0.0))
         self._wish = wish
 
     def _drop(
         self,
-        state: State,
+        state: ConductorState,
         outcome: Outcome | None = None,
         show_s: float | None = None,
         *,
@@ -361,10 +365,16 @@ class Conductor:
         self._now_ns = now_ns
         self._notes.append("STOP for all")
         self.stops += 1
-        is_under_way = self.state in (State.READYING, State.ARMING, State.PLAYING)
-        outcome: Outcome | None = "left" if self.state is State.PLAYING else None
+        is_under_way = self.state in (
+            ConductorState.READYING,
+            ConductorState.ARMING,
+            ConductorState.PLAYING,
+        )
+        outcome: Outcome | None = "left" if self.state is ConductorState.PLAYING else None
         self._drop(
-            State.STANDING if is_under_way else self.state, outcome, reason="all were stopped"
+            ConductorState.STANDING if is_under_way else self.state,
+            outcome,
+            reason="all were stopped",
         )
 
     def pause(self, now_ns: int, *, is_paused: bool = True) -> None:
@@ -392,7 +402,7 @@ class Conductor:
     def _require_leg(self) -> None:
         if self.superseded:
             raise InputError(self.superseded)
-        if self.state is not State.PLAYING:
+        if self.state is not ConductorState.PLAYING:
             raise InputError("no show plays")
 
     # ---- each turn
@@ -410,7 +420,7 @@ class Conductor:
             if figure.status is not None or now_ns - self._begun_ns >= NAME_NS:
                 figure.note_problem(self._problem(figure), now_ns)
         if self.superseded and self.wanted == "armed":
-            self._drop(State.STANDING, "left")
+            self._drop(ConductorState.STANDING, "left")
         self._go_on()
         notes, self._notes = self._notes, []
         for figure in self.figures.values():
@@ -421,18 +431,18 @@ class Conductor:
     def _go_on(self) -> None:
         """Do what the present state waits for."""
         match self.state:
-            case State.CONNECTING:
+            case ConductorState.CONNECTING:
                 self._await_figures()
-            case State.LEAVING:
+            case ConductorState.LEAVING:
                 self._await_stop()
-            case State.READYING:
+            case ConductorState.READYING:
                 self._make_ready()
-            case State.ARMING:
+            case ConductorState.ARMING:
                 self._arm()
-            case State.PLAYING:
+            case ConductorState.PLAYING:
                 self._look_after()
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: ConductorState) -> None:
         self.state, self._since_ns = state, self._now_ns
         self._have_stood, self._bad_ns = False, None
 
@@ -446,7 +456,7 @@ class Conductor:
         may_go_without = self.others == "go_on" and len(absent) < len(figures)
         if absent and not (may_go_without and self._is_past(CONNECT_S)):
             return
-        self._enter(State.STANDING)
+        self._enter(ConductorState.STANDING)
         text = f"begins without {', '.join(absent)}" if absent else "all figures are there"
         if self.listener is not None:
             self.listener.connected(text, self._now_ns)
@@ -467,7 +477,7 @@ class Conductor:
             self._cast = (wish.cast, hash_of(packed(wish.cast)))
             self._at_rest = "ready"
             self._notes.append(f"loads {wish.cast.show!r}")
-            self._enter(State.READYING)
+            self._enter(ConductorState.READYING)
 
     def _make_ready(self) -> None:
         """Arm all figures when all are ready, or refuse the show."""
@@ -494,7 +504,7 @@ class Conductor:
         if leader is not None and leader.rate >= RUNNING_RATE:
             self._start_s = max(leader.at_s(self._now_ns + ns_from_s(self._arm_lead_s())), 0.0)
         self._notes.append("GO: the robots move to their start")
-        self._enter(State.ARMING)
+        self._enter(ConductorState.ARMING)
 
     def _arm_lead_s(self) -> float:
         """Return how far ahead of the timecode the robots wait for it."""
@@ -516,7 +526,7 @@ class Conductor:
                 self._notes.append(
                     f"all stand at the start after {self.armed_s or 0.0:.1f} s: starts"
                 )
-                self._enter(State.PLAYING)
+                self._enter(ConductorState.PLAYING)
         elif self._is_past(ARM_S) or any(one.name not in self._without for one in self._ended()):
             problems = "; ".join(self.problems(self._now_ns))
             self._notes.append(f"the start is given up: {problems}")
@@ -527,7 +537,7 @@ class Conductor:
                 self._refuse(problems or "the start was given up")
 
     def _refuse(self, reason: str) -> None:
-        self._drop(State.STANDING, reason=reason)
+        self._drop(ConductorState.STANDING, reason=reason)
 
     # ---- while it plays
 
@@ -538,7 +548,7 @@ class Conductor:
         assert wish is not None
         if self._is_over():
             self._notes.append("the show has ended")
-            self._drop(State.STANDING, "finished")
+            self._drop(ConductorState.STANDING, "finished")
             return
         if leg.instant_ns <= self._now_ns:
             self._obey_others(leg)

@@ -22,7 +22,15 @@ from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.stage.hosts.clocks import REFUSE_NS, WARN_NS
-from lss_motion.stage.hosts.messages import Ask, Examine, Examined, Finding, Findings, packed, parse
+from lss_motion.stage.hosts.messages import (
+    Ask,
+    Examine,
+    Examined,
+    FigureFinding,
+    Findings,
+    packed,
+    parse,
+)
 from lss_motion.stage.hosts.plans import robot_hash
 from lss_motion.units import NS_PER_MS, ns_from_s
 
@@ -31,7 +39,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.stage.hosts.conductor import Conductor
-    from lss_motion.stage.hosts.figure import Figure
+    from lss_motion.stage.hosts.figure import FollowingFigure
     from lss_motion.stage.hosts.peer import NetworkSettings
     from lss_motion.stage.hosts.remote_figures import RemoteFigure
 
@@ -52,7 +60,7 @@ class Examiner(Protocol):
     """What is needed of a `host.Host` that conducts."""
 
     conductor: Conductor | None
-    figure: Figure
+    figure: FollowingFigure
     findings: dict[str, Findings]
 
     def turn(self) -> None: ...
@@ -62,7 +70,7 @@ def examined(figure: str, number: int, robot: Robot, port: str | None, folder: P
     """Examine this computer and its servos, in a process of its own."""
     words = ["doctor", str(robot.path), "--json", *(["--port", port] if port else [])]
     program = "import sys; from lss_motion.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    found: list[Finding] = []
+    found: list[FigureFinding] = []
     try:
         done = subprocess.run(  # noqa: S603  (our own program)
             [sys.executable, "-P", "-c", program, *words],
@@ -74,21 +82,21 @@ def examined(figure: str, number: int, robot: Robot, port: str | None, folder: P
         for one in json.loads(done.stdout)["findings"]:
             text = f"{one['text']}{'; ' if one['fix'] else ''}{one['fix']}"
             found.append(
-                Finding(level=str(one["level"]), subject=one["subject"][:64], text=text[:300])
+                FigureFinding(level=str(one["level"]), subject=one["subject"][:64], text=text[:300])
             )
     except (OSError, ValueError, KeyError, subprocess.TimeoutExpired) as error:
-        found.append(Finding(level="bad", subject="doctor", text=str(error)[:300]))
+        found.append(FigureFinding(level="bad", subject="doctor", text=str(error)[:300]))
     found.append(_disk(folder))
     order = {"bad": 0, "hint": 1}
     found.sort(key=lambda one: order.get(one.level.lower(), 2))
     return Findings(figure=figure, number=number, findings=tuple(found[:TEXTS_MAX]))
 
 
-def _disk(folder: Path) -> Finding:
+def _disk(folder: Path) -> FigureFinding:
     place = next((one for one in (folder, *folder.parents) if one.exists()), Path.cwd())
     free = shutil.disk_usage(place).free
     level = "ok" if free >= DISK_MIN_BYTES else "bad"
-    return Finding(level=level, subject="disk", text=f"{free / 1e9:.1f} GB free at {place}")
+    return FigureFinding(level=level, subject="disk", text=f"{free / 1e9:.1f} GB free at {place}")
 
 
 def examine_stage(
@@ -186,7 +194,7 @@ def examined_by_conductor(settings: NetworkSettings, wait_s: float | None = None
 
 def rows_of(
     figure: RemoteFigure, findings: Findings | None, version: str, robot_hash: str | None
-) -> list[Finding]:
+) -> list[FigureFinding]:
     """Return what is known of one figure, a line each."""
     status = figure.status
     if status is None:
@@ -204,11 +212,11 @@ def rows_of(
     return rows + [_found(one.level.lower(), one.subject, one.text) for one in findings.findings]
 
 
-def _found(level: str, subject: str, text: str) -> Finding:
-    return Finding(level=level, subject=subject[:64], text=text[:300])
+def _found(level: str, subject: str, text: str) -> FigureFinding:
+    return FigureFinding(level=level, subject=subject[:64], text=text[:300])
 
 
-def _clock_row(bound_ns: int | None) -> Finding:
+def _clock_row(bound_ns: int | None) -> FigureFinding:
     text = f"known to {_ms(bound_ns)} ms"
     if bound_ns is None:
         return _found("bad", "clock", "not known yet")

@@ -42,7 +42,7 @@ from lss_motion.stage.hosts.messages import (
     Cast,
     Catalogue,
     FigureState,
-    Status,
+    FigureStatus,
     hash_of,
     parse,
 )
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.stage.hosts.clocks import ClockEstimate
-    from lss_motion.stage.hosts.messages import Beat, NetworkLeg, Part, StopAll
+    from lss_motion.stage.hosts.messages import ConductorBeat, NetworkLeg, Part, StopAll
 
 FETCH_AGAIN_NS: Final = NS_PER_S
 FOLLOW_NS: Final = 200 * NS_PER_MS
@@ -141,14 +141,14 @@ class Verify(Struct, frozen=True):
     plan: str
 
 
-class Arm(Struct, frozen=True):
+class ArmPlayer(Struct, frozen=True):
     """Start the player with this plan: it moves to `start_s` of the show and waits there."""
 
     plan: str
     start_s: float
 
 
-class Follow(Struct, frozen=True):
+class FollowLeg(Struct, frozen=True):
     """At the own instant `instant_ns` the show is at `show_s`, and goes on at `rate`."""
 
     instant_ns: int
@@ -160,7 +160,7 @@ class StopPlayer(Struct, frozen=True):
     """Brake within the limits, hold, and end."""
 
 
-Action = Fetch | Verify | Arm | Follow | StopPlayer
+Action = Fetch | Verify | ArmPlayer | FollowLeg | StopPlayer
 
 
 class Deed(StrEnum):
@@ -211,7 +211,7 @@ WHY_STOPPED: Final[Mapping[Wants, str]] = {
 
 
 @dataclass
-class Figure:
+class FollowingFigure:
     """The state of one figure. `robot` is the hash of its own robot (`plans.robot_hash`)."""
 
     name: str
@@ -223,7 +223,7 @@ class Figure:
     text: str = field(default="", init=False)
     epoch: int = field(default=0, init=False)
     player: PlayerReport = field(default_factory=PlayerReport, init=False)
-    beat: Beat | None = field(default=None, init=False)
+    beat: ConductorBeat | None = field(default=None, init=False)
     """The last one of the conductor that is followed."""
     clock: ClockEstimate | None = field(default=None, init=False)
     """The last one that is fit to follow legs by."""
@@ -266,7 +266,7 @@ class Figure:
 
     # ---- what arrives
 
-    def take_beat(self, beat: Beat, now_ns: int) -> None:
+    def take_beat(self, beat: ConductorBeat, now_ns: int) -> None:
         """Follow this conductor, or refuse it."""
         if why := self._refusal(beat, now_ns):
             if not self._may_begin_later(beat, now_ns):
@@ -292,7 +292,7 @@ class Figure:
         if beat.leg is not None and beat.leg.number != last:
             self._legs.append(beat.leg)
 
-    def _is_next(self, beat: Beat, bound: Beat, now_ns: int) -> bool:
+    def _is_next(self, beat: ConductorBeat, bound: ConductorBeat, now_ns: int) -> bool:
         """Return whether a beat is newer than the last one, by what can have happened since.
 
         It may have been overtaken by a newer one; but not by more than `LOST_NS`.
@@ -392,7 +392,7 @@ class Figure:
         notes, self._notes = self._notes, []
         return notes
 
-    def status(self, now_ns: int) -> Status:
+    def status(self, now_ns: int) -> FigureStatus:
         """Return what the conductor is told."""
         does = self.player.does(self._first_ns, now_ns)
         show_s = self.player.show_s if does in ("standing", "playing") else None
@@ -402,7 +402,7 @@ class Figure:
             if leg is not None and leg.rate > 0.0:
                 off_s = show_s - leg.at_s(self.clock.other_ns(now_ns))
         estimate = self.offered
-        return Status(
+        return FigureStatus(
             protocol=PROTOCOL,
             figure=self.name,
             instance=self.instance,
@@ -428,7 +428,7 @@ class Figure:
 
     # ---- inside
 
-    def _refusal(self, beat: Beat, now_ns: int) -> str:
+    def _refusal(self, beat: ConductorBeat, now_ns: int) -> str:
         """Return why this conductor is not followed; empty: it is."""
         who = f"conductor {beat.conductor} (epoch {beat.epoch}, {beat.instance})"
         if beat.conductor != self.conductor:
@@ -446,7 +446,7 @@ class Figure:
             return f"{who} is refused: the first one ({bound.instance}) still conducts"
         return ""
 
-    def _may_begin_later(self, beat: Beat, now_ns: int) -> bool:
+    def _may_begin_later(self, beat: ConductorBeat, now_ns: int) -> bool:
         """Return whether a conductor with too low an epoch may not know yet that there was another.
 
         It begins a later epoch when it gets the state of this figure.
@@ -457,7 +457,7 @@ class Figure:
         is_ours = beat.conductor == self.conductor and beat.epoch <= self.epoch
         return is_ours and self._is_lost(now_ns) and now_ns - first_ns < LOST_NS
 
-    def _rebind(self, beat: Beat) -> None:
+    def _rebind(self, beat: ConductorBeat) -> None:
         self._notes.append(f"follows conductor {beat.conductor} of epoch {beat.epoch}")
         self.epoch = beat.epoch
         self.clock = self.offered = None
@@ -520,7 +520,7 @@ class Figure:
             return state
         self._armed_run = (beat.epoch, beat.run)
         self._followed = self._stopped_ns = self._first_ns = None
-        actions.append(Arm(self._cast.parts[self.name].plan, self._join_s(now_ns)))
+        actions.append(ArmPlayer(self._cast.parts[self.name].plan, self._join_s(now_ns)))
         return "arming"
 
     def _freewheel(self, now_ns: int) -> FigureState:
@@ -566,7 +566,7 @@ class Figure:
             )
         return self._problems.get(part.plan, "")
 
-    def _look_ahead(self, beat: Beat, now_ns: int, actions: list[Action]) -> None:
+    def _look_ahead(self, beat: ConductorBeat, now_ns: int, actions: list[Action]) -> None:
         """Fetch and verify what may be wanted later, one after the other."""
         if beat.catalogue is None:
             return
@@ -627,7 +627,7 @@ class Figure:
         self._followed, self._told_ns = (leg.number, now_ns), self._received_ns
         if self._first_ns is None and rate > 0.0:
             self._first_ns = own_ns
-        actions.append(Follow(own_ns, leg.at_s(at_ns), rate))
+        actions.append(FollowLeg(own_ns, leg.at_s(at_ns), rate))
 
     def _is_told(self, leg: NetworkLeg, now_ns: int) -> bool:
         """Return whether the player was told this leg just now, or since the last beat."""

@@ -1,7 +1,7 @@
 """One computer of a stage: its figure, the conductor if it is that one, and its player.
 
 `Host.turn` is called again and again by one thread. It takes what the network delivered, lets
-`Figure` and `Conductor` decide, and does what they say. The player is a process of its own
+`FollowingFigure` and `Conductor` decide, and does what they say. The player is a process of its own
 (`PlayerLink`): whatever happens to this one, it brakes and holds.
 """
 
@@ -25,22 +25,22 @@ from lss_motion.stage.hosts.conductor import BEAT_NS, Conductor
 from lss_motion.stage.hosts.examine import Examining
 from lss_motion.stage.hosts.figure import (
     Action,
-    Arm,
+    ArmPlayer,
     Fetch,
-    Figure,
-    Follow,
+    FollowingFigure,
+    FollowLeg,
     StopPlayer,
     Verify,
 )
 from lss_motion.stage.hosts.messages import (
     Ask,
-    Beat,
     Catalogue,
     ClockAnswer,
     ClockQuestion,
+    ConductorBeat,
     Examine,
+    FigureStatus,
     Findings,
-    Status,
     StopAll,
     hash_of,
     other_protocol,
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.stage.hosts.conductor import Others
     from lss_motion.stage.hosts.messages import Cast
-    from lss_motion.stage.hosts.peer import Arrival, NetworkSettings, Peer
+    from lss_motion.stage.hosts.peer import NetworkArrival, NetworkSettings, Peer
     from lss_motion.stage.hosts.plans import PlanStore
     from lss_motion.stage.hosts.player_link import PlayerLink
 
@@ -94,7 +94,7 @@ class Host:
         self.settings, self.player, self.log = settings, player, log
         self._store, self._now_ns = store, now_ns
         self.instance = secrets.token_hex(8)
-        self.figure = Figure(
+        self.figure = FollowingFigure(
             name=settings.figure,
             conductor=settings.conductor,
             robot=robot_hash(robot),
@@ -211,7 +211,7 @@ class Host:
         self._play(now_ns)
         self._ask_clock(now_ns)
 
-    def _take(self, arrival: Arrival) -> None:
+    def _take(self, arrival: NetworkArrival) -> None:
         key, content = arrival.key, arrival.content
         parts = key.split("/")
         if arrival.what in ("content", "no content"):
@@ -223,7 +223,7 @@ class Host:
             if (protocol := other_protocol(content)) is not None:
                 self.figure.take_other_protocol(protocol)
             else:
-                self._take_beat(parse(Beat, content), arrival.at_ns)
+                self._take_beat(parse(ConductorBeat, content), arrival.at_ns)
         elif key == "stop":
             self.figure.take_stop(parse(StopAll, content))
         elif parts[0] == "clock":
@@ -231,7 +231,7 @@ class Host:
         elif self.conductor is not None and len(parts) == 3:
             self._take_of_figure(self.conductor, parts, content, arrival.at_ns)
 
-    def _take_beat(self, beat: Beat, at_ns: int) -> None:
+    def _take_beat(self, beat: ConductorBeat, at_ns: int) -> None:
         if self.conductor is not None:
             self.conductor.take_beat(beat, at_ns)
         self.figure.take_beat(beat, at_ns)
@@ -255,7 +255,7 @@ class Host:
         if parts[2] == "status" and (protocol := other_protocol(content)) is not None:
             conductor.take_other_protocol(parts[1], protocol, at_ns)
         elif parts[2] == "status":
-            status = parse(Status, content)
+            status = parse(FigureStatus, content)
             if status.figure == parts[1]:
                 conductor.take_status(status, at_ns)
         elif parts[2] == "findings":
@@ -365,9 +365,9 @@ class Host:
                     self.figure.take_content(content)
             case Verify():
                 threading.Thread(target=self._verify, args=(action.plan,), daemon=True).start()
-            case Arm():
+            case ArmPlayer():
                 self.player.arm(action.plan, action.start_s)
-            case Follow():
+            case FollowLeg():
                 self.player.follow(action.instant_ns, action.show_s, action.rate)
             case StopPlayer():
                 self.player.stop()

@@ -29,7 +29,7 @@ RATE_OFF: Final = 50e-6
 figures trim the rest away."""
 
 
-class Legs:
+class ShowLegs:
     """The present leg of a show; `newest` is None while none has begun."""
 
     def __init__(self) -> None:

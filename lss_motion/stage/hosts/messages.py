@@ -5,9 +5,9 @@ and however often, the newest is enough. So nothing is acknowledged and nothing 
 
 | key (below the name of the stage)  | message           | from, and how often                     |
 |------------------------------------|-------------------|-----------------------------------------|
-| `beat`                             | `Beat`            | conductor, 10 Hz, and on every change   |
+| `beat`                             | `ConductorBeat`   | conductor, 10 Hz, and on every change   |
 | `stop`                             | `StopAll`         | conductor, repeated                     |
-| `figure/NAME/status`               | `Status`          | figure, 5 Hz, and on every change       |
+| `figure/NAME/status`               | `FigureStatus`    | figure, 5 Hz, and on every change       |
 | `figure/NAME/ask`                  | `Ask`             | figure: a cue, GO or STOP for the stage |
 | `figure/NAME/findings`             | `Findings`        | figure, when the conductor asks for it  |
 | `examined/NAME`                    | `Examined`        | conductor, when `doctor` asks           |
@@ -35,7 +35,7 @@ from lss_motion.playing.remote.message import Message, Operation, reason
 PROTOCOL: Final = 4
 """Conductor and figures must have the same."""
 MESSAGE_MAX_BYTES: Final = 16 * 1024
-"""A longer message is none of ours; the longest, a `Status` with its texts, has about 1 kB."""
+"""A longer message is none of ours; the longest, a `FigureStatus` with texts, has about 1 kB."""
 CAST_MAX_BYTES: Final = 1 << 20
 TEXT_MAX_CHARS: Final = 400
 EPOCHS_AHEAD: Final = 100_000
@@ -78,7 +78,7 @@ Wanted = Literal["nothing", "ready", "armed", "stopped"]
 the show; brake, hold and end."""
 
 
-class Beat(Message, frozen=True, kw_only=True):
+class ConductorBeat(Message, frozen=True, kw_only=True):
     """State of the conductor.
 
     `epoch` is higher than that of every conductor before it, `instance` differs between two
@@ -153,7 +153,7 @@ FigureState = Literal[
 `stopped`: its run is over before its end. `out`: it cannot play this cast, and says why."""
 
 
-class Status(Message, frozen=True, kw_only=True):
+class FigureStatus(Message, frozen=True, kw_only=True):
     """State of one figure."""
 
     protocol: int = PROTOCOL
@@ -203,7 +203,7 @@ class Ask(Message, frozen=True, kw_only=True):
     instance: Instance
 
 
-class Finding(Message, frozen=True, kw_only=True):
+class FigureFinding(Message, frozen=True, kw_only=True):
     """One thing that a figure found about its computer or its servos."""
 
     level: Annotated[str, Meta(max_length=16)]
@@ -216,7 +216,7 @@ class Findings(Message, frozen=True, kw_only=True):
 
     figure: FigureName
     number: Annotated[int, Meta(ge=0)]
-    findings: Annotated[tuple[Finding, ...], Meta(max_length=40)]
+    findings: Annotated[tuple[FigureFinding, ...], Meta(max_length=40)]
 
 
 class Examined(Message, frozen=True, kw_only=True):
@@ -225,7 +225,7 @@ class Examined(Message, frozen=True, kw_only=True):
     figure: FigureName
     asked: Instance
     """The `instance` of the question."""
-    rows: Annotated[tuple[Finding, ...], Meta(max_length=60)]
+    rows: Annotated[tuple[FigureFinding, ...], Meta(max_length=60)]
 
 
 class ClockQuestion(Message, frozen=True, kw_only=True):
@@ -258,7 +258,7 @@ def parse(kind: type[M], content: bytes, max_bytes: int = MESSAGE_MAX_BYTES) -> 
 
 
 def other_protocol(content: bytes) -> int | None:
-    """Return the protocol of a `Beat` or `Status` of another version, which `parse` cannot read."""
+    """Return the protocol of a beat or status of another version, which `parse` cannot read."""
     try:
         protocol = json.loads(content[:MESSAGE_MAX_BYTES])["protocol"]
     except (ValueError, KeyError, TypeError, RecursionError):

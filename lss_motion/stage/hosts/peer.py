@@ -54,7 +54,7 @@ FETCH_S: Final = 20.0
 What = Literal["message", "alive", "gone", "content", "no content"]
 
 
-class Arrival(Struct, frozen=True):
+class NetworkArrival(Struct, frozen=True):
     """What arrived: below the name of the stage, at this instant of the own clock."""
 
     what: What
@@ -85,7 +85,7 @@ class Peer(Closing):
         self._now_ns = now_ns
         self._top = settings.stage
         self._clock_id = clock_id
-        self._inbox: queue.Queue[Arrival] = queue.Queue(INBOX_MAX)
+        self._inbox: queue.Queue[NetworkArrival] = queue.Queue(INBOX_MAX)
         self._fetching: set[str] = set()
         self._kept: list[Any] = []
         self.dropped = 0
@@ -98,9 +98,9 @@ class Peer(Closing):
 
     # ---- what arrives
 
-    def take(self, timeout_s: float) -> list[Arrival]:
+    def take(self, timeout_s: float) -> list[NetworkArrival]:
         """Return what has arrived; wait for it, at most so long."""
-        found: list[Arrival] = []
+        found: list[NetworkArrival] = []
         with contextlib.suppress(queue.Empty):
             found.append(self._inbox.get(timeout=timeout_s))
             while True:
@@ -168,7 +168,9 @@ class Peer(Closing):
 
     def _put(self, what: What, key: str, content: bytes, at_ns: int) -> None:
         try:
-            self._inbox.put_nowait(Arrival(what, key.removeprefix(f"{self._top}/"), content, at_ns))
+            self._inbox.put_nowait(
+                NetworkArrival(what, key.removeprefix(f"{self._top}/"), content, at_ns)
+            )
         except queue.Full:
             self.dropped += 1
 

@@ -11,7 +11,7 @@ from lss_motion.stage.hosts.messages import PROTOCOL
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.stage.hosts.messages import Status
+    from lss_motion.stage.hosts.messages import FigureStatus
 
 LOST_NS: Final = NS_PER_S
 """Without a message for so long, a figure, or its conductor, is lost."""
@@ -32,7 +32,7 @@ class RemoteFigure:
     """What the conductor knows of one figure."""
 
     name: str
-    status: Status | None = None
+    status: FigureStatus | None = None
     heard_ns: int | None = None
     other_protocol: int | None = None
     """That of its last state, if it is not ours."""
@@ -73,7 +73,7 @@ class RemoteFigure:
 
     # ---- what arrives
 
-    def take_status(self, status: Status, now_ns: int) -> None:
+    def take_status(self, status: FigureStatus, now_ns: int) -> None:
         """Take its state, and note what a person should know of it."""
         if self.status is not None and self.status.instance != status.instance:
             self._meet_process(status.instance, now_ns)

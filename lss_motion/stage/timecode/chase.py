@@ -56,7 +56,7 @@ STANDING_COUNT: Final = 3
 SOURCES_NAMED_MAX: Final = 8
 
 
-class State(StrEnum):
+class ChaseState(StrEnum):
     """What the leader does, as far as is known."""
 
     SEARCHING = "searching"
@@ -68,11 +68,11 @@ class State(StrEnum):
     OFF_SPEED = "off_speed"
 
 
-HELD: Final = (State.STANDING, State.REVERSE, State.OFF_SPEED)
+HELD: Final = (ChaseState.STANDING, ChaseState.REVERSE, ChaseState.OFF_SPEED)
 """While the leader does this, a robot that follows it holds."""
 
 
-class Observation(NamedTuple):
+class TimecodeObservation(NamedTuple):
     """The leader was at `position_s` at `instant_ns`; `direction` 1 forward, -1 back, 0 stands."""
 
     instant_ns: int
@@ -108,7 +108,7 @@ class Chase:
     """Follows one leader. Positions are seconds from the start of the show."""
 
     def __init__(self, style: Style, *, freewheel_s: float = 2.0) -> None:
-        self.state = State.SEARCHING
+        self.state = ChaseState.SEARCHING
         self.rate = 1.0
         """Of the leader, as fitted."""
         self.source = ""
@@ -119,10 +119,10 @@ class Chase:
         """Standard error of `rate`."""
         self._style = style
         self._freewheel_ns = ns_from_s(freewheel_s)
-        self._points: deque[Observation] = deque()
-        self._chain: list[Observation] = []
-        self._last: Observation | None = None
-        self._fitted_at: Observation | None = None
+        self._points: deque[TimecodeObservation] = deque()
+        self._chain: list[TimecodeObservation] = []
+        self._last: TimecodeObservation | None = None
+        self._fitted_at: TimecodeObservation | None = None
         """Where the fit has its origin, and the position there."""
         self._good_ns = self._leg_ns = self._received_ns = 0
         self._since_ns = 0
@@ -134,7 +134,7 @@ class Chase:
 
     # ---- what comes
 
-    def take(self, observation: Observation, source: str = "") -> None:
+    def take(self, observation: TimecodeObservation, source: str = "") -> None:
         """Take what was read. Instants of one source do not decrease, or it is ignored."""
         if not self._is_from_leader(source, observation.instant_ns):
             self.ignored += 1
@@ -145,15 +145,15 @@ class Chase:
             self.ignored += 1
             return
         if observation.direction == 0:
-            self._hold(State.STANDING, observation)
+            self._hold(ChaseState.STANDING, observation)
         elif before is not None and observation[1:] == before[1:]:
             self._still += 1
             if self._still >= STANDING_COUNT:
-                self._hold(State.STANDING, observation)
+                self._hold(ChaseState.STANDING, observation)
         elif observation.direction < 0:
             self._still = 0
             if before is not None and before.direction < 0:
-                self._hold(State.REVERSE, observation)
+                self._hold(ChaseState.REVERSE, observation)
         else:
             self._still = 0
             self._take_forward(observation)
@@ -161,13 +161,13 @@ class Chase:
     def advance(self, now_ns: int) -> None:
         """Let time pass: what has not come for too long is gone, and legs are due."""
         silent_ns = now_ns - self._good_ns
-        if self.state is State.LOCKED and silent_ns > ns_from_s(self._style.gap_s):
-            self._enter(State.FREEWHEELING)
+        if self.state is ChaseState.LOCKED and silent_ns > ns_from_s(self._style.gap_s):
+            self._enter(ChaseState.FREEWHEELING)
         if self.state in HELD and now_ns - self._received_ns > self._freewheel_ns:
-            self._enter(State.LOST)
+            self._enter(ChaseState.LOST)
             self._forget()
-        if self.state is State.FREEWHEELING and silent_ns > self._freewheel_ns:
-            self._enter(State.LOST)
+        if self.state is ChaseState.FREEWHEELING and silent_ns > self._freewheel_ns:
+            self._enter(ChaseState.LOST)
             self._forget()
         self._add_due_leg(now_ns)
 
@@ -212,7 +212,7 @@ class Chase:
 
     # ---- forward
 
-    def _take_forward(self, observation: Observation) -> None:
+    def _take_forward(self, observation: TimecodeObservation) -> None:
         off_s = self._off_s(observation)
         if off_s is not None and abs(off_s) <= self._style.jump_s:
             self._chain.clear()
@@ -224,16 +224,16 @@ class Chase:
             chain.clear()
         chain.append(observation)
         if len(chain) >= self._style.lock_count:
-            if off_s is not None and self.state is State.LOCKED:
+            if off_s is not None and self.state is ChaseState.LOCKED:
                 self._texts.append(f"timecode jumps by {off_s:+.2f} s")
             self._lock()
             return
         self.ignored += 1
         is_long = observation.instant_ns - self._good_ns > ns_from_s(ASTRAY_S)
         if self._good_ns and is_long and self._astray >= ASTRAY_COUNT and self.state not in HELD:
-            self._hold(State.OFF_SPEED, observation)
+            self._hold(ChaseState.OFF_SPEED, observation)
 
-    def _is_consistent(self, one: Observation, other: Observation) -> bool:
+    def _is_consistent(self, one: TimecodeObservation, other: TimecodeObservation) -> bool:
         passed_s = (other.instant_ns - one.instant_ns) / NS_PER_S
         way_s = other.position_s - one.position_s
         slack_s = 4.0 * self._style.jitter_s + CONSISTENT_RATIO * passed_s
@@ -245,17 +245,17 @@ class Chase:
         self._chain.clear()
         self._fit()
         self._good_ns, self._astray = self._points[-1].instant_ns, 0
-        self._enter(State.LOCKED)
+        self._enter(ChaseState.LOCKED)
         self._add_leg(self._good_ns)
 
-    def _accept(self, observation: Observation) -> None:
+    def _accept(self, observation: TimecodeObservation) -> None:
         self._points.append(observation)
         oldest_ns = observation.instant_ns - ns_from_s(self._style.window_s)
         while self._points[0].instant_ns < oldest_ns:
             self._points.popleft()
         self._good_ns, self._astray = observation.instant_ns, 0
-        if self.state is not State.LOCKED and self.state is not State.OFF_SPEED:
-            self._enter(State.LOCKED)
+        if self.state is not ChaseState.LOCKED and self.state is not ChaseState.OFF_SPEED:
+            self._enter(ChaseState.LOCKED)
         # Not as often as legs: `advance` adds them, too, and then none would be due here.
         if self._fitted_at is None or observation.instant_ns - self._fitted_at.instant_ns >= LEG_NS:
             self._fit()
@@ -264,7 +264,7 @@ class Chase:
 
     # ---- rate and phase
 
-    def _off_s(self, observation: Observation) -> float | None:
+    def _off_s(self, observation: TimecodeObservation) -> float | None:
         """Return how far an observation is from the fit; None: there is none."""
         if self._fitted_at is None:
             return None
@@ -296,22 +296,22 @@ class Chase:
         position_s = last.position_s + late_s - slope * middle_s
         self._fitted_at = last._replace(position_s=position_s)
 
-    def _judge_speed(self, observation: Observation) -> None:
+    def _judge_speed(self, observation: TimecodeObservation) -> None:
         """Hold while the leader is too fast or too slow to be followed."""
         if observation.instant_ns - self._since_ns < ns_from_s(JUDGED_S):
             return
         off_ratio = abs(self.rate - 1.0)
         unsure_ratio = SURE_ERRORS * self._rate_error
-        if self.state is State.OFF_SPEED:
+        if self.state is ChaseState.OFF_SPEED:
             if off_ratio < RATE_MAX_RATIO - RATE_SLACK_RATIO:
-                self._enter(State.LOCKED)
+                self._enter(ChaseState.LOCKED)
                 self._add_leg(observation.instant_ns)
         elif off_ratio - unsure_ratio > RATE_MAX_RATIO:
             self._texts.append(
                 f"timecode runs at {self.rate:.3f} of its speed, more than "
                 f"{100.0 * RATE_MAX_RATIO:g} % off: the robot holds until it is slower or faster"
             )
-            self._hold(State.OFF_SPEED, observation)
+            self._hold(ChaseState.OFF_SPEED, observation)
         elif abs(self.rate - PULL_DOWN_RATIO) < PULL_DOWN_BAND and unsure_ratio < off_ratio:
             self.say(
                 "timecode runs at 0.999 of its speed, as 23.976 or 29.97 frames a second that are "
@@ -321,11 +321,11 @@ class Chase:
 
     # ---- legs
 
-    def _hold(self, state: State, observation: Observation) -> None:
+    def _hold(self, state: ChaseState, observation: TimecodeObservation) -> None:
         """Note that the leader does not run as it should; legs stand there."""
         self._good_ns = observation.instant_ns
         self._held_s = observation.position_s
-        if state is not State.OFF_SPEED:
+        if state is not ChaseState.OFF_SPEED:
             self._forget()
         if self.state is not state:
             self._enter(state)
@@ -337,13 +337,13 @@ class Chase:
         self._fitted_at = None
         self._astray = 0
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: ChaseState) -> None:
         self.state = state
 
     def _add_due_leg(self, now_ns: int) -> None:
         is_held = self.state in HELD
         every_ns = STANDING_LEG_NS if is_held else LEG_NS
-        has_legs = self._received_ns > self._leg_ns if is_held else self.state is State.LOCKED
+        has_legs = self._received_ns > self._leg_ns if is_held else self.state is ChaseState.LOCKED
         if has_legs and now_ns - self._leg_ns >= every_ns:
             self._add_leg(now_ns)
 
@@ -356,7 +356,7 @@ class Chase:
 
 
 def _relative(
-    points: Sequence[Observation] | deque[Observation], last: Observation
+    points: Sequence[TimecodeObservation] | deque[TimecodeObservation], last: TimecodeObservation
 ) -> tuple[
     np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray[tuple[int], np.dtype[np.float64]]
 ]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.stage.timecode.timecode import Rate
+    from lss_motion.stage.timecode.timecode import FrameRate
 
     FloatArray = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ _DROP_BIT: Final = 10
 _PARITY_BIT: Final = {24: 27, 25: 59, 30: 27}
 
 
-def frame_bits(timecode: Timecode, rate: Rate) -> int:
+def frame_bits(timecode: Timecode, rate: FrameRate) -> int:
     """Return the 80 bits of a frame, the first one lowest."""
     bits = SYNC_WORD << 64
     for value, (tens_at, _, units_at, _) in zip(timecode, _FIELDS, strict=True):
@@ -72,7 +72,7 @@ def read_bits(bits: int) -> tuple[Timecode, bool] | None:
 
 
 @lru_cache(maxsize=256)
-def _sums(frame: int, rate: Rate) -> FloatArray:
+def _sums(frame: int, rate: FrameRate) -> FloatArray:
     """Return the integral of the level over a frame at its 161 half bits, in half bits."""
     bits, level, levels = frame_bits(timecode_of(frame, rate), rate), -1.0, []
     for number in range(BITS):
@@ -84,7 +84,7 @@ def _sums(frame: int, rate: Rate) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(levels)])
 
 
-def levels(positions: FloatArray, rate: Rate) -> FloatArray:
+def levels(positions: FloatArray, rate: FrameRate) -> FloatArray:
     """Return the sound between successive positions, in frames from midnight: -1 to 1.
 
     One value less than positions, which may also stand or run backward. Each value is the mean
@@ -108,7 +108,7 @@ def levels(positions: FloatArray, rate: Rate) -> FloatArray:
     return result
 
 
-def sound_of(timecode: Timecode, rate: Rate, frames: int, rate_hz: int) -> FloatArray:
+def sound_of(timecode: Timecode, rate: FrameRate, frames: int, rate_hz: int) -> FloatArray:
     """Return the sound of so many frames from `timecode` on."""
     count = math.floor(frames * rate_hz / rate.frames_per_s)
     start = timecode.frame(rate)

@@ -17,10 +17,10 @@ import math
 import struct
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
-from lss_motion.stage.timecode.timecode import CODED, Rate, Timecode, timecode_of
+from lss_motion.stage.timecode.timecode import CODED, FrameRate, Timecode, timecode_of
 
 if TYPE_CHECKING:
-    from lss_motion.stage.timecode.timecode import Rate
+    from lss_motion.stage.timecode.timecode import FrameRate
 
 PIECES: Final = 8
 QUARTER_FRAME: Final = 0xF1
@@ -36,7 +36,7 @@ class MtcReading(NamedTuple):
 
     instant_ns: int
     timecode: Timecode
-    rate: Rate
+    rate: FrameRate
     direction: int
     past_frames: float = 0.0
 
@@ -96,7 +96,7 @@ class MtcDecoder:
         ]
 
 
-def quarter_frame(frame: int, piece: int, rate: Rate) -> bytes:
+def quarter_frame(frame: int, piece: int, rate: FrameRate) -> bytes:
     """Return the message of a piece of the label of `frame`; `rate` is one of `CODED`."""
     code = CODED.index(rate)
     hours, minutes, seconds, frames = timecode_of(frame, rate)
@@ -105,7 +105,7 @@ def quarter_frame(frame: int, piece: int, rate: Rate) -> bytes:
     return bytes((QUARTER_FRAME, piece << 4 | digit))
 
 
-def locate(timecode: Timecode, rate: Rate) -> bytes:
+def locate(timecode: Timecode, rate: FrameRate) -> bytes:
     """Return the message that the tape stands at `timecode`."""
     hours, *rest = timecode
     return bytes((0xF0, 0x7F, 0x7F, *_LOCATE, hours | CODED.index(rate) << 5, *rest, 0xF7))
@@ -122,7 +122,7 @@ class ArtNetReading(NamedTuple):
     """What a packet holds. A sender may have several streams, told apart by their number."""
 
     timecode: Timecode
-    rate: Rate
+    rate: FrameRate
     stream: int
 
 
@@ -138,7 +138,7 @@ def read_artnet(packet: bytes) -> ArtNetReading | None:
     return ArtNetReading(timecode, rate, stream) if timecode.is_valid(rate) else None
 
 
-def artnet_packet(timecode: Timecode, rate: Rate, stream: int = 0) -> bytes:
+def artnet_packet(timecode: Timecode, rate: FrameRate, stream: int = 0) -> bytes:
     """Return the packet of a frame; `rate` is one of `CODED`."""
     hours, minutes, seconds, frames = timecode
     head = _ARTNET_HEAD.pack(_ARTNET_ID, _TIMECODE) + bytes((0, _VERSION, 0, stream))

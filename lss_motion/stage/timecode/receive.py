@@ -22,7 +22,7 @@ import msgspec
 from msgspec import Struct
 
 from lss_motion.stage.timecode import chase, midi
-from lss_motion.stage.timecode.chase import FPP, Chase, Observation, Style
+from lss_motion.stage.timecode.chase import FPP, Chase, Style, TimecodeObservation
 from lss_motion.stage.timecode.ltc import LtcDecoder
 from lss_motion.stage.timecode.messages import FPP_GROUP, MtcDecoder, read_artnet, read_fpp
 from lss_motion.stage.timecode.timecode import (
@@ -34,7 +34,7 @@ from lss_motion.stage.timecode.timecode import (
     FPS_29_97_DROP,
     FPS_30,
     FollowSpec,
-    Start,
+    TimecodeStart,
 )
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import wait_for
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.stage.timecode.ltc import LtcFrame
-    from lss_motion.stage.timecode.timecode import Rate
+    from lss_motion.stage.timecode.timecode import FrameRate
     from lss_motion.system.messages import MessagePipe
 
     Say = Callable[[str], None]
@@ -108,7 +108,7 @@ class Source(Protocol):
 
     text: str
 
-    def wait(self, chased: Chase) -> Iterator[tuple[Observation, str]]:
+    def wait(self, chased: Chase) -> Iterator[tuple[TimecodeObservation, str]]:
         """Yield what has come, after waiting for `TURN_S` at most; tell `chased` of troubles."""
         ...
 
@@ -160,7 +160,7 @@ class SoundSource:
             self._blocks.put_nowait((self._frame, at_ns, block[:, 0].copy()))
         self._frame += count
 
-    def wait(self, chased: Chase) -> Iterator[tuple[Observation, str]]:  # noqa: ARG002
+    def wait(self, chased: Chase) -> Iterator[tuple[TimecodeObservation, str]]:  # noqa: ARG002
         try:
             blocks = [self._blocks.get(timeout=TURN_S)]
         except queue.Empty:
@@ -206,7 +206,7 @@ class MidiSource:
         with contextlib.suppress(queue.Full, ValueError):
             self._messages.put_nowait((bytes(message[0]), time.monotonic_ns()))
 
-    def wait(self, chased: Chase) -> Iterator[tuple[Observation, str]]:
+    def wait(self, chased: Chase) -> Iterator[tuple[TimecodeObservation, str]]:
         self._watch(chased)
         try:
             messages = [self._messages.get(timeout=TURN_S)]
@@ -267,7 +267,7 @@ class PacketSource:
         what = "FPP MultiSync" if is_fpp else "Art-Net timecode"
         self.text = f"{what} from {', '.join(spec.allowed)}, port {port}"
 
-    def wait(self, chased: Chase) -> Iterator[tuple[Observation, str]]:
+    def wait(self, chased: Chase) -> Iterator[tuple[TimecodeObservation, str]]:
         if not wait_for([self._socket.fileno()], TURN_S):
             return
         for _ in range(PACKETS_A_TURN):
@@ -350,13 +350,13 @@ def _send(chased: Chase, typed: TypedPipe[None]) -> None:
 NEAR_RATIO: Final = 0.08
 """A measured rate that is nearer to one of the known ones is taken for it. 24 and 25 are 4 % apart,
 so the nearest counts; beyond, the tape is wound."""
-FROM_MIDNIGHT: Final = Start()
+FROM_MIDNIGHT: Final = TimecodeStart()
 PLAYERS_MAX: Final = 256
 SETTLED: Final = 4
 """So many frames in a row must be of another rate before the rate is changed."""
 
 
-def of_label(coded: Rate, wanted: Rate | None, say: Say, way: str) -> Rate | None:
+def of_label(coded: FrameRate, wanted: FrameRate | None, say: Say, way: str) -> FrameRate | None:
     """Return the rate by which a label is read; None: it is not that of the timecode wanted."""
     if wanted is None or wanted == coded:
         return coded
@@ -377,18 +377,18 @@ class LtcReader:
     """Observations from sound. `instant_ns` of a sample is given with each block."""
 
     def __init__(
-        self, rate_hz: int, wanted: Rate | None, say: Say, start: Start = FROM_MIDNIGHT
+        self, rate_hz: int, wanted: FrameRate | None, say: Say, start: TimecodeStart = FROM_MIDNIGHT
     ) -> None:
         self.decoder = LtcDecoder(rate_hz)
         self.frames = 0
         self._rate_hz, self._wanted, self._say = rate_hz, wanted, say
         self._start = start
-        self._rate: Rate | None = None
+        self._rate: FrameRate | None = None
         self._other = 0
 
     def take(
         self, block: NDArray[np.float32], instant_of: Callable[[float], float]
-    ) -> Iterator[Observation]:
+    ) -> Iterator[TimecodeObservation]:
         """Yield what is known with these samples; `instant_of` turns samples into ns."""
         for frame in self.decoder.take(block):
             self.frames += 1
@@ -398,9 +398,9 @@ class LtcReader:
             number = frame.timecode.frame(rate) + (0 if frame.is_reverse else 1)
             direction = -1 if frame.is_reverse else 1
             instant_ns = round(instant_of(frame.at))
-            yield Observation(instant_ns, self._start.show_s(number, rate), direction)
+            yield TimecodeObservation(instant_ns, self._start.show_s(number, rate), direction)
 
-    def _rate_of(self, frame: LtcFrame) -> Rate | None:
+    def _rate_of(self, frame: LtcFrame) -> FrameRate | None:
         measured = self._rate_hz / frame.frame_samples
         near = min((FPS_24, FPS_25, FPS_30), key=lambda r: abs(r.frames_per_s - measured))
         if abs(measured / near.frames_per_s - 1.0) > NEAR_RATIO:
@@ -419,11 +419,13 @@ class LtcReader:
 class MtcReader:
     """Observations from MIDI messages."""
 
-    def __init__(self, wanted: Rate | None, say: Say, start: Start = FROM_MIDNIGHT) -> None:
+    def __init__(
+        self, wanted: FrameRate | None, say: Say, start: TimecodeStart = FROM_MIDNIGHT
+    ) -> None:
         self._decoder = MtcDecoder()
         self._wanted, self._say, self._start = wanted, say, start
 
-    def take(self, message: bytes, instant_ns: int) -> Iterator[Observation]:
+    def take(self, message: bytes, instant_ns: int) -> Iterator[TimecodeObservation]:
         """Yield what is known with this message."""
         for reading in self._decoder.take(message, instant_ns):
             rate = of_label(reading.rate, self._wanted, self._say, "MIDI timecode")
@@ -431,18 +433,20 @@ class MtcReader:
                 continue
             frames = reading.timecode.frame(rate) + reading.past_frames
             position_s = self._start.show_s(frames, rate)
-            yield Observation(reading.instant_ns, position_s, reading.direction)
+            yield TimecodeObservation(reading.instant_ns, position_s, reading.direction)
 
 
 class ArtNetReader:
     """Observations from UDP packets, each with the name of its source."""
 
-    def __init__(self, wanted: Rate | None, say: Say, start: Start = FROM_MIDNIGHT) -> None:
+    def __init__(
+        self, wanted: FrameRate | None, say: Say, start: TimecodeStart = FROM_MIDNIGHT
+    ) -> None:
         self._wanted, self._say, self._start = wanted, say, start
 
     def take(
         self, packet: bytes, address: str, instant_ns: int
-    ) -> Iterator[tuple[Observation, str]]:
+    ) -> Iterator[tuple[TimecodeObservation, str]]:
         """Yield what is known with this packet."""
         reading = read_artnet(packet)
         if reading is None:
@@ -452,7 +456,7 @@ class ArtNetReader:
             return
         source = f"{address} stream {reading.stream}" if reading.stream else address
         position_s = self._start.show_s(reading.timecode.frame(rate), rate)
-        yield Observation(instant_ns, position_s), source
+        yield TimecodeObservation(instant_ns, position_s), source
 
 
 class FppReader:
@@ -462,14 +466,14 @@ class FppReader:
     or else its media.
     """
 
-    def __init__(self, start: Start = FROM_MIDNIGHT) -> None:
+    def __init__(self, start: TimecodeStart = FROM_MIDNIGHT) -> None:
         self._start = start
         self._items: dict[str, tuple[str, str, int]] = {}
         """What each player plays: kind, name, and when it was heard of last."""
 
     def take(
         self, packet: bytes, address: str, instant_ns: int
-    ) -> Iterator[tuple[Observation, str]]:
+    ) -> Iterator[tuple[TimecodeObservation, str]]:
         """Yield what is known with this packet."""
         reading = read_fpp(packet)
         if reading is None or reading.action == "open":
@@ -487,4 +491,4 @@ class FppReader:
                 self._items.clear()
             self._items[address] = (reading.kind, reading.name, instant_ns)
         position_s = self._start.show_s(reading.seconds * FPS_25.frames_per_s, FPS_25)
-        yield Observation(instant_ns, position_s, 0 if is_stop else 1), address
+        yield TimecodeObservation(instant_ns, position_s, 0 if is_stop else 1), address

@@ -184,7 +184,7 @@ class TimecodeOut(Closing):
         self._process.close()
 
 
-class Legs(Protocol):
+class LegSource(Protocol):
     """Where legs come from: a `TimecodeSource`, or a test."""
 
     def filenos(self) -> Sequence[int]: ...
@@ -200,7 +200,7 @@ class FollowControls:
     def __init__(
         self,
         following: Following,
-        legs: Legs,
+        legs: LegSource,
         *,
         inner: Controls[Any] | None = None,
         tell: Callable[[str], None] | None = None,

@@ -1,8 +1,8 @@
 """Timecode: hours, minutes, seconds and frames as labels, and what they are in seconds.
 
-Labels are counted in whole frames a second (`Rate.labels`). At 23.976 and 29.97 frames a second a
-label second lasts 1.001 s. Drop-frame leaves out the labels of frames 0 and 1 in each minute but
-every tenth, so that labels and seconds agree to within 0.1 s over a day (SMPTE 12M).
+Labels are counted in whole frames a second (`FrameRate.labels`). At 23.976 and 29.97 frames a
+second a label second lasts 1.001 s. Drop-frame leaves out the labels of frames 0 and 1 in each
+minute but every tenth, so that labels and seconds agree to within 0.1 s over a day (SMPTE 12M).
 
 `FollowSpec` and `SendSpec` are which timecode a person wants followed or sent: `--follow` and
 `--send` of `lss-play` and the key `sync` of a stage use the same words.
@@ -27,7 +27,7 @@ DROPPED: Final = 2
 """Labels that drop-frame leaves out in nine of ten minutes."""
 
 
-class Rate(Struct, frozen=True):
+class FrameRate(Struct, frozen=True):
     """How many frames a second has, and how they are labelled."""
 
     name: str
@@ -42,12 +42,12 @@ class Rate(Struct, frozen=True):
         return minutes * 60 * self.labels - dropped
 
 
-FPS_23_976: Final = Rate("23.976", 24, 24000 / 1001)
-FPS_24: Final = Rate("24", 24, 24.0)
-FPS_25: Final = Rate("25", 25, 25.0)
-FPS_29_97: Final = Rate("29.97", 30, 30000 / 1001)
-FPS_29_97_DROP: Final = Rate("29.97df", 30, 30000 / 1001, is_drop=True)
-FPS_30: Final = Rate("30", 30, 30.0)
+FPS_23_976: Final = FrameRate("23.976", 24, 24000 / 1001)
+FPS_24: Final = FrameRate("24", 24, 24.0)
+FPS_25: Final = FrameRate("25", 25, 25.0)
+FPS_29_97: Final = FrameRate("29.97", 30, 30000 / 1001)
+FPS_29_97_DROP: Final = FrameRate("29.97df", 30, 30000 / 1001, is_drop=True)
+FPS_30: Final = FrameRate("30", 30, 30.0)
 RATES: Final = {
     rate.name: rate for rate in (FPS_23_976, FPS_24, FPS_25, FPS_29_97, FPS_29_97_DROP, FPS_30)
 }
@@ -66,7 +66,7 @@ class Timecode(NamedTuple):
     def __str__(self) -> str:
         return f"{self.hours:02}:{self.minutes:02}:{self.seconds:02}:{self.frames:02}"
 
-    def is_valid(self, rate: Rate) -> bool:
+    def is_valid(self, rate: FrameRate) -> bool:
         """Return whether `rate` has a frame with this label."""
         is_in_range = (
             0 <= self.hours < HOURS
@@ -78,18 +78,18 @@ class Timecode(NamedTuple):
             rate.is_drop and self.frames < DROPPED and not self.seconds and self.minutes % 10
         )
 
-    def frame(self, rate: Rate) -> int:
+    def frame(self, rate: FrameRate) -> int:
         """Return the number of the frame, from 0 at midnight."""
         minutes = 60 * self.hours + self.minutes
         dropped = DROPPED * (minutes - minutes // 10) if rate.is_drop else 0
         return (60 * minutes + self.seconds) * rate.labels + self.frames - dropped
 
-    def at_s(self, rate: Rate) -> float:
+    def at_s(self, rate: FrameRate) -> float:
         """Return when the frame begins, in seconds from midnight."""
         return self.frame(rate) / rate.frames_per_s
 
 
-def timecode_of(frame: int, rate: Rate) -> Timecode:
+def timecode_of(frame: int, rate: FrameRate) -> Timecode:
     """Return the label of a frame; midnight follows the last one of a day."""
     frame %= rate.frames_per_day
     if rate.is_drop:
@@ -104,7 +104,7 @@ def timecode_of(frame: int, rate: Rate) -> Timecode:
     return Timecode(hours, minutes, seconds, frames)
 
 
-class Start(Struct, frozen=True):
+class TimecodeStart(Struct, frozen=True):
     """The timecode at which a show begins: a label, or seconds from midnight.
 
     A label is seconds only at a rate, which may be known no sooner than with the first frame.
@@ -114,11 +114,11 @@ class Start(Struct, frozen=True):
     label: Timecode | None = None
     """Counts, if it is given."""
 
-    def at_s(self, rate: Rate) -> float:
+    def at_s(self, rate: FrameRate) -> float:
         """Return the start, in seconds from midnight."""
         return self.seconds if self.label is None else self.label.at_s(rate)
 
-    def show_s(self, frames: float, rate: Rate) -> float:
+    def show_s(self, frames: float, rate: FrameRate) -> float:
         """Return the show time at so many frames from midnight; a show may pass midnight."""
         day = rate.frames_per_day
         frames -= self.at_s(rate) * rate.frames_per_s
@@ -139,7 +139,7 @@ def read_timecode(text: str) -> Timecode:
     return Timecode(*parts)
 
 
-def read_rate(text: str) -> Rate:
+def read_rate(text: str) -> FrameRate:
     """Return the rate of that name; raises `InputError`."""
     name = text.strip().lower()
     if name in ("29.97ndf", "23.98"):
@@ -167,9 +167,9 @@ class FollowSpec(Struct, frozen=True, kw_only=True):
     kind: FollowKind
     name: str = ""
     allowed: tuple[str, ...] = (LOOPBACK,)
-    rate: Rate | None = None
+    rate: FrameRate | None = None
     """None: as measured or labelled."""
-    start: Start = Start()
+    start: TimecodeStart = TimecodeStart()
     freewheel_s: float = 2.0
 
     @property
@@ -184,7 +184,7 @@ class SendSpec(Struct, frozen=True, kw_only=True):
     kind: SendKind
     name: str = ""
     port: int = 0
-    rate: Rate = FPS_25
+    rate: FrameRate = FPS_25
     offset_s: float = 0.0
     show: str = ""
     """Name of the show, for receivers that are told one."""
@@ -229,13 +229,13 @@ def read_send(text: str, *, rate: str | None = None, offset: str | float = 0.0) 
     return SendSpec(kind=kind, name=rest, port=port, rate=chosen, offset_s=start.at_s(chosen))
 
 
-def read_start(value: str | float, rate: Rate | None = None) -> Start:
+def read_start(value: str | float, rate: FrameRate | None = None) -> TimecodeStart:
     """Return the start that a number of seconds, or HH:MM:SS:FF, names; raises `InputError`."""
     if isinstance(value, str) and ":" in value:
         label = read_timecode(value)
         if rate is not None and not label.is_valid(rate):
             raise InputError(f"there is no frame {value} at {rate.name} frames a second")
-        return Start(label=label)
+        return TimecodeStart(label=label)
     try:
         seconds = float(value)
     except ValueError:
@@ -244,7 +244,7 @@ def read_start(value: str | float, rate: Rate | None = None) -> Start:
         raise InputError(
             f"{value!r} is no start in timecode; write HH:MM:SS:FF, as in 01:00:00:00, or seconds"
         )
-    return Start(seconds)
+    return TimecodeStart(seconds)
 
 
 def _allowed(text: str) -> tuple[str, ...]:

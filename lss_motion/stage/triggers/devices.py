@@ -46,7 +46,7 @@ def trigger_of(message: Sequence[int]) -> stage.Trigger | None:
     return None
 
 
-class Device(Protocol):
+class MidiSystem(Protocol):
     """The MIDI inputs of the computer, as `stage.timecode.midi` has them."""
 
     def open_port(self, kind: str, name: str) -> tuple[Any, str]:
@@ -69,7 +69,7 @@ class MidiPort:
         sink: Sink,
         note: Callable[[str], None],
         *,
-        system: Device = midi,
+        system: MidiSystem = midi,
     ) -> None:
         self.gate = gate
         self._wanted, self._sink, self._note, self._system = wanted, sink, note, system

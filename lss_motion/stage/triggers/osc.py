@@ -68,7 +68,7 @@ class OscError(ValueError):
     """A packet that is no OSC, or asks for what is not possible."""
 
 
-class Message(Struct, frozen=True):
+class OscMessage(Struct, frozen=True):
     """An address with its arguments. `at_s`: when it is to be carried out, Unix time; None: now."""
 
     address: str
@@ -76,16 +76,16 @@ class Message(Struct, frozen=True):
     at_s: float | None = None
 
 
-def messages_of(data: bytes) -> list[Message]:
+def messages_of(data: bytes) -> list[OscMessage]:
     """Return the messages of a packet, in its order; raises `OscError`."""
     if len(data) > PACKET_MAX_BYTES:
         raise OscError(f"a packet with more than {PACKET_MAX_BYTES} bytes is ignored")
-    found: list[Message] = []
+    found: list[OscMessage] = []
     _read(data, None, DEPTH_MAX, found)
     return found
 
 
-def _read(data: bytes, at_s: float | None, depth: int, found: list[Message]) -> None:
+def _read(data: bytes, at_s: float | None, depth: int, found: list[OscMessage]) -> None:
     if not data.startswith(_HEAD):
         if len(found) >= MESSAGES_MAX:
             raise OscError(f"a packet with more than {MESSAGES_MAX} messages is ignored")
@@ -111,8 +111,8 @@ def _time(tag: int) -> float | None:
     return None if tag == IMMEDIATELY else tag / 2**32 - NTP_TO_UNIX_S
 
 
-def _message(data: bytes, at_s: float | None) -> Message:
-    from pythonosc.osc_message import OscMessage, ParseError
+def _message(data: bytes, at_s: float | None) -> OscMessage:
+    from pythonosc import osc_message
 
     if not data.startswith(b"/") or b"\0" not in data:
         raise OscError("a packet that is no OSC message is ignored")
@@ -121,13 +121,13 @@ def _message(data: bytes, at_s: float | None) -> Message:
     if tags and (tags[:1] != b"," or not _TAGS.issuperset(tags[1:])):
         raise OscError("an OSC message with arguments of unknown types is ignored")
     try:
-        read = OscMessage(data)
-        return Message(read.address, tuple(read.params), at_s)
-    except (ParseError, ValueError, IndexError, OverflowError, struct.error):
+        read = osc_message.OscMessage(data)
+        return OscMessage(read.address, tuple(read.params), at_s)
+    except (osc_message.ParseError, ValueError, IndexError, OverflowError, struct.error):
         raise OscError("an OSC message that is cut is ignored") from None
 
 
-def delay_s(message: Message, wall_s: float) -> float:
+def delay_s(message: OscMessage, wall_s: float) -> float:
     """Return how long from now a message is to be carried out; raises `OscError` if too long.
 
     `wall_s` is the Unix time now. It is used only here: a clock that is set later changes nothing.
@@ -143,14 +143,14 @@ def delay_s(message: Message, wall_s: float) -> float:
     return max(0.0, ahead_s)
 
 
-def is_release(message: Message) -> bool:
+def is_release(message: OscMessage) -> bool:
     """Return whether this is a button that is released: its first argument is 0 or false."""
     first = message.arguments[0] if message.arguments else None
     return isinstance(first, bool | int | float) and not first
 
 
 def operation_of(
-    message: Message, cues: AbstractSet[str], levels: Crossings | None = None
+    message: OscMessage, cues: AbstractSet[str], levels: Crossings | None = None
 ) -> m.AnyOperation | None:
     """Return what a message asks for; None for a button that is released.
 
@@ -166,7 +166,7 @@ def operation_of(
     return None if is_button and is_release(message) else _operation(fields)
 
 
-def _trigger(message: Message, levels: Crossings | None) -> m.AnyOperation | None:
+def _trigger(message: OscMessage, levels: Crossings | None) -> m.AnyOperation | None:
     """Return the trigger of a message; None if it is a release, or crosses no threshold."""
     address, first = message.address, next(iter(message.arguments), None)
     is_number = isinstance(first, int | float) and math.isfinite(first)
@@ -179,7 +179,7 @@ def _trigger(message: Message, levels: Crossings | None) -> m.AnyOperation | Non
     return _operation(fields) if is_wanted else None
 
 
-def _own(message: Message) -> dict[str, Any] | None:
+def _own(message: OscMessage) -> dict[str, Any] | None:
     """Return the operation of one of our addresses; None: it is none of ours."""
     address, first = message.address, next(iter(message.arguments), None)
     if address in SIMPLE:
@@ -361,7 +361,7 @@ class OscPort(asyncio.DatagramProtocol):
         for message in messages:
             self._take(message, place, now_s)
 
-    def _take(self, message: Message, place: Place, now_s: float) -> None:
+    def _take(self, message: OscMessage, place: Place, now_s: float) -> None:
         try:
             wait_s = delay_s(message, datetime.now(UTC).timestamp())
         except OscError as error:
@@ -382,7 +382,7 @@ class OscPort(asyncio.DatagramProtocol):
         timer = asyncio.get_running_loop().call_later(wait_s, obey)
         self._pending.add(timer)
 
-    def _obey(self, message: Message, place: Place) -> None:
+    def _obey(self, message: OscMessage, place: Place) -> None:
         if message.address not in self.cues and self._is_query(message, place):
             return
         try:
@@ -393,7 +393,7 @@ class OscPort(asyncio.DatagramProtocol):
         if operation is not None:
             self._sink(operation, f"OSC {shown(message.address)} from {place[0]}")
 
-    def _is_query(self, message: Message, place: Place) -> bool:
+    def _is_query(self, message: OscMessage, place: Place) -> bool:
         """Answer a message that only asks; return whether it was one."""
         numbers = [one for one in message.arguments if isinstance(one, int | float)]
         port = int(numbers[0]) if numbers and 0 < numbers[0] <= PORT_MAX else place[1]

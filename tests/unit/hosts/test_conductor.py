@@ -13,18 +13,18 @@ from lss_motion.stage.hosts.conductor import (
     LEAVE_S,
     OVER_S,
     READY_S,
-    State,
+    ConductorState,
 )
 from lss_motion.stage.hosts.messages import hash_of
 from lss_motion.units import NS_PER_S
 
 C, S, L, R, A, P = (
-    State.CONNECTING,
-    State.STANDING,
-    State.LEAVING,
-    State.READYING,
-    State.ARMING,
-    State.PLAYING,
+    ConductorState.CONNECTING,
+    ConductorState.STANDING,
+    ConductorState.LEAVING,
+    ConductorState.READYING,
+    ConductorState.ARMING,
+    ConductorState.PLAYING,
 )
 SHOW_S = 20.0
 
@@ -96,7 +96,7 @@ def put(world, name):
         getattr(world.conductor, name)(world.now_ns)
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("state", list(ConductorState))
 @pytest.mark.parametrize("name", INPUTS)
 def test_each_input_in_each_state_leads_where_the_table_says(state, name):
     world = MAKE[state]()
@@ -115,7 +115,7 @@ def test_each_input_in_each_state_leads_where_the_table_says(state, name):
         assert world.conductor.wanted == "stopped"
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("state", list(ConductorState))
 def test_a_show_can_be_played_from_every_state(state):
     world = MAKE[state]()
     world.hosts["f1"].is_cut = False
@@ -126,7 +126,7 @@ def test_a_show_can_be_played_from_every_state(state):
     assert number not in [one[1] for one in world.told if one[0] in ("refused", "left")]
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("state", list(ConductorState))
 def test_silence_ends_every_state_but_the_two_that_wait_for_it(state):
     """All lines are cut: whatever the conductor did, it then stands or waits for its figures."""
     world = MAKE[state]()
@@ -142,7 +142,7 @@ def test_silence_ends_every_state_but_the_two_that_wait_for_it(state):
     world.go()
 
 
-@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("state", list(ConductorState))
 @pytest.mark.parametrize("name", ["pause", "set_rate", "seek"])
 def test_a_show_is_steered_only_while_it_plays(state, name):
     world = MAKE[state]()

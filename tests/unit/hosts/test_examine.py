@@ -12,7 +12,7 @@ pytest.importorskip("zenoh", reason="needs the extra `network`")
 
 from lss_motion.cli.main import main
 from lss_motion.stage.hosts.examine import rows_of
-from lss_motion.stage.hosts.messages import Finding, Findings, Status, hash_of
+from lss_motion.stage.hosts.messages import FigureFinding, FigureStatus, Findings, hash_of
 from lss_motion.stage.hosts.remote_figures import RemoteFigure
 
 ROOT = Path(__file__).parents[3]
@@ -74,7 +74,7 @@ def seat(**changes):
         "bound_ns": 200_000,
         "round_trip_ns": 400_000,
     }
-    return RemoteFigure("right", status=Status(**{**plain, **changes}))
+    return RemoteFigure("right", status=FigureStatus(**{**plain, **changes}))
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def seat(**changes):
 )
 def test_what_differs_is_named(changes, subject, level):
     findings = Findings(
-        figure="right", number=1, findings=(Finding(level="BAD", subject="robot", text="x"),)
+        figure="right", number=1, findings=(FigureFinding(level="BAD", subject="robot", text="x"),)
     )
     rows = {
         row.subject: row.level for row in rows_of(seat(**changes), findings, "1", hash_of(b"a"))

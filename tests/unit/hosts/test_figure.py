@@ -9,8 +9,17 @@ from msgspec.structs import replace
 from benches.stage_model import reported
 from lss_motion.stage.hosts import figure as module
 from lss_motion.stage.hosts.clocks import ClockEstimate
-from lss_motion.stage.hosts.figure import TABLE, Arm, Deed, Does, Figure, Follow, StopPlayer, Wants
-from lss_motion.stage.hosts.messages import Beat, Cast, NetworkLeg, Part, hash_of, packed
+from lss_motion.stage.hosts.figure import (
+    TABLE,
+    ArmPlayer,
+    Deed,
+    Does,
+    FollowingFigure,
+    FollowLeg,
+    StopPlayer,
+    Wants,
+)
+from lss_motion.stage.hosts.messages import Cast, ConductorBeat, NetworkLeg, Part, hash_of, packed
 from lss_motion.units import NS_PER_S
 
 ROBOT = hash_of(b"robot")
@@ -24,7 +33,7 @@ PLACES = [(wants, does) for wants in get_args(Wants) for does in get_args(Does)]
 
 
 def beat(count, wanted, **fields):
-    return Beat(
+    return ConductorBeat(
         conductor="f0",
         epoch=1,
         instance=CONDUCTOR,
@@ -38,7 +47,7 @@ def beat(count, wanted, **fields):
 
 def placed(wants, does, *, is_prepared=True):
     """A figure of which this is wanted and whose player does this; its last turn is over."""
-    figure = Figure(name="f1", conductor="f0", robot=ROBOT, instance="a" * 16, version="x")
+    figure = FollowingFigure(name="f1", conductor="f0", robot=ROBOT, instance="a" * 16, version="x")
     start_ns = NOW_NS - NS_PER_S // 10
     if wants != "unknown":
         leg = NetworkLeg(number=1, instant_ns=NOW_NS - NS_PER_S, show_s=0.0, rate=1.0)
@@ -91,8 +100,8 @@ def test_each_place_of_the_table(wants, does):
     expected = {
         Deed.STOP: ("stopping", [StopPlayer]),
         Deed.PREPARE: ("ready", []),
-        Deed.ARM: ("arming", [Arm]),
-        Deed.FOLLOW: ("playing" if does == "playing" else "armed", [Follow]),
+        Deed.ARM: ("arming", [ArmPlayer]),
+        Deed.FOLLOW: ("playing" if does == "playing" else "armed", [FollowLeg]),
         Deed.FREEWHEEL: ("freewheeling", []),
     }.get(found, (found, []))
     assert (figure.state, kinds(actions)) == expected
@@ -140,7 +149,7 @@ def test_silence_ends_every_place_in_a_state_of_its_own(wants, does):
     else:
         resting = {"nothing": "idle", "stopped": "stopped"}.get(wants, "alone")
         assert figure.state == ("stopping" if does == "stopping" else resting)
-    assert Arm not in seen
+    assert ArmPlayer not in seen
 
 
 @pytest.mark.parametrize(("wants", "does"), PLACES)
@@ -160,7 +169,7 @@ def test_every_place_is_left_when_the_conductor_begins_another_run(wants, does):
         if StopPlayer in kinds(actions) or does == "stopping":
             figure.take_player(reported("none"))
             does = "none"
-        if Arm in kinds(actions):
+        if ArmPlayer in kinds(actions):
             break
         now_ns += NS_PER_S // 4
     assert figure.state == "arming"

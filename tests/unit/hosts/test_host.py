@@ -10,7 +10,7 @@ from lss_motion.playing.remote import stage_messages as s
 from lss_motion.robot.load import load_robot
 from lss_motion.stage.hosts.host import Host
 from lss_motion.stage.hosts.messages import Ask, packed
-from lss_motion.stage.hosts.peer import Arrival, NetworkSettings
+from lss_motion.stage.hosts.peer import NetworkArrival, NetworkSettings
 
 ROBOT = """\
 robot: arm
@@ -55,7 +55,7 @@ def conductor(tmp_path):
 
 def asked(host, peer, figure, number):
     ask = Ask(operation=s.Cue(label="x"), number=number, instance="0" * 16)
-    peer.arrivals.append(Arrival("message", f"figure/{figure}/ask", packed(ask), 0))
+    peer.arrivals.append(NetworkArrival("message", f"figure/{figure}/ask", packed(ask), 0))
     host.turn()
     return len(host.cues)
 
@@ -77,7 +77,7 @@ def test_a_computer_of_another_version_is_named_whatever_its_messages_have(condu
     del status["leg"]
     for key, message in (("beat", beat), ("figure/right/status", status), ("beat", [1, 2])):
         now_ns = time.monotonic_ns()
-        peer.arrivals.append(Arrival("message", key, json.dumps(message).encode(), now_ns))
+        peer.arrivals.append(NetworkArrival("message", key, json.dumps(message).encode(), now_ns))
         host.turn()
     told = " ".join(host.figure._refused)
     assert "the conductor has protocol 9, this figure" in told

@@ -7,10 +7,10 @@ from msgspec.structs import asdict, replace
 
 from benches.stage_model import LOOPBACK, WIFI, World, reported
 from lss_motion.errors import InputError
-from lss_motion.stage.hosts.conductor import READY_S, State
+from lss_motion.stage.hosts.conductor import READY_S, ConductorState
 from lss_motion.stage.hosts.figure import Fetch, Verify
 from lss_motion.stage.hosts.legs import LEAD_NS
-from lss_motion.stage.hosts.messages import Beat, hash_of
+from lss_motion.stage.hosts.messages import ConductorBeat, hash_of
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 
@@ -151,9 +151,9 @@ def test_after_a_stop_the_same_show_can_be_played_again():
     assert world.run(5.0, lambda: world.states() == {"stopped"})
     stop = conductor.stop_message()
     world.play()
-    world.wait(State.ARMING)
+    world.wait(ConductorState.ARMING)
     world.hosts["f1"].figure.take_stop(stop)  # It comes late.
-    world.wait(State.PLAYING)
+    world.wait(ConductorState.PLAYING)
     assert world.run(5.0, lambda: world.states() == {"playing"}), world.states()
 
 
@@ -164,7 +164,7 @@ def test_a_figure_that_the_show_left_behind_is_ready_for_the_next_one():
     host.player.tick = lambda _: host.player.report
     assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
     host.player.becomes("none")
-    world.wait(State.STANDING)
+    world.wait(ConductorState.STANDING)
     assert world.run(5.0, lambda: world.states() == {"ready"}), world.states()
 
 
@@ -267,7 +267,7 @@ def test_why_a_figure_stops_is_told_again_after_a_show_that_left_it_behind():
     tick = host.player.tick
     host.player.tick = lambda _: reported("playing", 1.0)  # It holds somewhere, and never ends.
     assert world.run(20.0, lambda: host.figure.state == "stopping"), host.log
-    world.wait(State.STANDING)
+    world.wait(ConductorState.STANDING)
     world.run(0.5)  # It is ready in the turn in which its player has ended.
     host.player.tick = tick
     host.player.becomes("none")
@@ -311,13 +311,13 @@ def test_the_others_start_without_a_figure_if_they_go_on_without_one():
     world = World(3, seed=2, robots={"f1": hash_of(b"another robot")}, others="go_on", show_s=60.0)
     conductor = world.conductor
     world.play()
-    world.wait(State.ARMING)
+    world.wait(ConductorState.ARMING)
     assert list(conductor.absent(world.now_ns)) == ["f1"]
-    world.wait(State.PLAYING, seconds=10.0)
+    world.wait(ConductorState.PLAYING, seconds=10.0)
     world.run(3.0)
     states = {name: host.figure.state for name, host in world.hosts.items()}
     assert states == {"f0": "playing", "f1": "out", "f2": "playing"}
-    assert conductor.state is State.PLAYING
+    assert conductor.state is ConductorState.PLAYING
     assert "starts without f1: out: its robot file differs" in " ".join(world.notes)
     world.hosts["f1"].figure.robot = world.cast.parts["f1"].robot  # It got the right file.
     assert world.run(20.0, lambda: world.states() == {"playing"})
@@ -345,7 +345,7 @@ def test_a_plan_that_is_stored_no_more_is_fetched_again():
 
     host._do = do
     world.play()
-    world.wait(State.ARMING, seconds=10.0)
+    world.wait(ConductorState.ARMING, seconds=10.0)
     assert [type(one) for one in seen] == [Verify, Fetch]
 
 
@@ -364,7 +364,7 @@ def refusal(world):
 
 def forged(world, **changes):
     beat = world.conductor.beat()
-    return Beat(**{**asdict(beat), "count": beat.count + 1000, **changes})
+    return ConductorBeat(**{**asdict(beat), "count": beat.count + 1000, **changes})
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,14 @@ from lss_motion.stage import orders
 from lss_motion.stage.director import Director, ShowInfo
 from lss_motion.stage.file import Budget
 from lss_motion.stage.model import (
-    Cue,
-    Duty,
+    CueTrigger,
+    DutyRule,
     LogRule,
     Retry,
     Signal,
     Stage,
+    StageCue,
     StageShow,
-    Trigger,
     TriggerKind,
 )
 from lss_motion.units import NS_PER_S
@@ -44,7 +44,9 @@ SHOWS = {
 def key(name, **other):
     show = other.pop("play", "a")
     shows = (show,) if isinstance(show, str) else tuple(show or ())
-    return Cue(name=name, on=Trigger(kind=TriggerKind.KEY, address=name), shows=shows, **other)
+    return StageCue(
+        name=name, on=CueTrigger(kind=TriggerKind.KEY, address=name), shows=shows, **other
+    )
 
 
 class Desk:
@@ -66,7 +68,7 @@ class Desk:
         self.director = Director(self.stage, SHOWS, Random(seed), **dict(director))
         self.now_ns, self.wall = 0, NOON
         self.playing: dict[int, str] = {}
-        self.plays: list[orders.Play] = []
+        self.plays: list[orders.PlayOrder] = []
         self.notes: list[str] = []
         self.others: list[object] = []
         self.wait(0)
@@ -103,12 +105,12 @@ class Desk:
     def obey(self):
         while (order := self.director.next_order()) is not None:
             match order:
-                case orders.Play():
+                case orders.PlayOrder():
                     self.plays.append(order)
                     if order.how == "change":
                         self.leave_all()
                     self.playing[order.number] = order.show
-                case orders.Stop():
+                case orders.StopOrder():
                     self.leave_all()
                     self.others.append(order)
                 case _ if hasattr(order, "text") and not isinstance(order, orders.Alert):
@@ -274,7 +276,7 @@ def test_random_plays_each_show_once_before_any_again_and_none_twice_in_a_row():
 
 
 def test_the_end_of_a_show_is_a_trigger_before_the_idle_show():
-    chain = Cue(name="next", on=Trigger(kind=TriggerKind.END_OF, address="a"), shows=("b",))
+    chain = StageCue(name="next", on=CueTrigger(kind=TriggerKind.END_OF, address="a"), shows=("b",))
     desk = Desk(key("x"), chain)
     desk.press("x")
     desk.wait(5)
@@ -299,7 +301,8 @@ def test_a_show_that_cannot_be_played_is_refused_with_the_reason_of_the_player()
 
 def test_go_fires_its_cues_in_turn_is_debounced_and_can_be_armed():
     goes = [
-        Cue(name=n, on=Trigger(kind=TriggerKind.GO), shows=(n,), start="terminate") for n in "ab"
+        StageCue(name=n, on=CueTrigger(kind=TriggerKind.GO), shows=(n,), start="terminate")
+        for n in "ab"
     ]
     desk = Desk(*goes, key("y", play="sleep", start="terminate"))
     for expected in ("a", "b", "a"):
@@ -324,13 +327,13 @@ def test_a_stage_begins_at_its_instant():
 
 
 def test_the_start_of_the_stage_is_a_trigger_once():
-    first = Cue(name="first", on=Trigger(kind=TriggerKind.START), shows=("a",))
+    first = StageCue(name="first", on=CueTrigger(kind=TriggerKind.START), shows=("a",))
     desk = Desk(first)
     assert desk.shown == ["a"]
     desk.director.faulted(Cause.SILENT, "gone", desk.now_ns)
     desk.playing.clear()
     desk.wait(11)
-    assert orders.Connect() in desk.others
+    assert orders.ConnectOrder() in desk.others
     desk.director.connected(desk.now_ns)
     desk.obey()
     assert desk.shown == ["idle"]
@@ -344,8 +347,8 @@ def reading(value):
 
 
 def test_a_sensor_fires_once_when_two_readings_in_a_row_meet_its_condition():
-    on = Trigger(kind=TriggerKind.SENSOR, address="door", side="below", threshold=800.0)
-    desk = Desk(Cue(name="v", on=on, shows=("a",), start="terminate"))
+    on = CueTrigger(kind=TriggerKind.SENSOR, address="door", side="below", threshold=800.0)
+    desk = Desk(StageCue(name="v", on=on, shows=("a",), start="terminate"))
     counts = []
     for value in (900, 700, 900, 700, 700, 600, 900, 600, 600, 900, 900, 700, 700):
         desk.signal(reading(value))
@@ -355,8 +358,8 @@ def test_a_sensor_fires_once_when_two_readings_in_a_row_meet_its_condition():
 
 
 def test_a_button_by_osc_fires_when_it_is_pressed_and_a_fader_when_it_passes():
-    push = Cue(
-        name="p", on=Trigger(kind=TriggerKind.OSC, address="/go"), shows=("a",), start="restart"
+    push = StageCue(
+        name="p", on=CueTrigger(kind=TriggerKind.OSC, address="/go"), shows=("a",), start="restart"
     )
     fader = replace(push, name="f", on=replace(push.on, address="/f", side="above", threshold=0.5))
     desk = Desk(push, fader)
@@ -374,7 +377,7 @@ def test_a_button_by_osc_fires_when_it_is_pressed_and_a_fader_when_it_passes():
 
 
 def test_after_work_the_figure_rests_when_its_show_has_ended_and_goes_limp():
-    duty = Duty(work_s=60.0, rest_s=100.0, rest="sleep", is_limp=True)
+    duty = DutyRule(work_s=60.0, rest_s=100.0, rest="sleep", is_limp=True)
     desk = Desk(key("x"), duty=duty)
     desk.wait(55)
     desk.press("x")
@@ -386,19 +389,19 @@ def test_after_work_the_figure_rests_when_its_show_has_ended_and_goes_limp():
     assert desk.refusal("x").startswith("the figure rests: has worked long enough")
     assert desk.others == []
     desk.finish("sleep")
-    assert desk.others == [orders.Relax()]
+    assert desk.others == [orders.RelaxOrder()]
     desk.wait(100)
     assert desk.shown == ["idle"]
 
 
 def test_a_hot_servo_slows_the_shows_then_ends_them_until_it_is_cool():
-    desk = Desk(key("x"), duty=Duty(temperature_c=Budget(slow=55, rest=65)))
+    desk = Desk(key("x"), duty=DutyRule(temperature_c=Budget(slow=55, rest=65)))
     desk.press("x")
     for celsius, rate in [(50, None), (56, 0.5), (54, None), (52, 1.0), (66, 0.5)]:
         desk.others.clear()
         desk.director.measured(celsius, None, desk.now_ns, "neck")
         desk.obey()
-        found = [one.ratio for one in desk.others if isinstance(one, orders.Rate)]
+        found = [one.ratio for one in desk.others if isinstance(one, orders.RateOrder)]
         assert found == ([] if rate is None else [rate]), celsius
     assert desk.shown == []
     desk.press("x")
@@ -409,7 +412,7 @@ def test_a_hot_servo_slows_the_shows_then_ends_them_until_it_is_cool():
 
 
 def test_a_peak_of_current_is_no_reason_to_rest_but_a_minute_of_it_is():
-    desk = Desk(duty=Duty(current_a=Budget(slow=2.0, rest=3.0)))
+    desk = Desk(duty=DutyRule(current_a=Budget(slow=2.0, rest=3.0)))
     for second in range(120):
         desk.director.measured(None, 20.0 if second == 5 else 1.0, desk.now_ns)
         desk.wait(1)
@@ -421,7 +424,7 @@ def test_a_peak_of_current_is_no_reason_to_rest_but_a_minute_of_it_is():
 
 
 def test_quiet_hours_begin_after_the_show_and_end():
-    quiet = Duty(quiet=((NOON.time(), (NOON + timedelta(hours=1)).time()),), rest="sleep")
+    quiet = DutyRule(quiet=((NOON.time(), (NOON + timedelta(hours=1)).time()),), rest="sleep")
     desk = Desk(key("x"), duty=quiet)
     assert desk.shown == ["sleep"]
     desk.press("x")
@@ -432,7 +435,7 @@ def test_quiet_hours_begin_after_the_show_and_end():
 
 
 def test_an_operator_stops_all_sends_to_rest_and_wakes():
-    desk = Desk(key("x"), key("q", play="b", start="queue"), duty=Duty(rest="sleep"))
+    desk = Desk(key("x"), key("q", play="b", start="queue"), duty=DutyRule(rest="sleep"))
     desk.press("x", "q")
     desk.director.do("stop", desk.now_ns)
     desk.obey()
@@ -462,7 +465,7 @@ def test_after_a_fault_the_stage_begins_again_a_bounded_number_of_times():
         from_ns, desk.others = desk.now_ns, []
         desk.press("x")
         assert "waits after a fault" in desk.refusal("x")
-        while orders.Connect() not in desk.others:
+        while orders.ConnectOrder() not in desk.others:
             desk.wait(1)
         waits.append(round((desk.now_ns - from_ns) / NS_PER_S))
         desk.director.connected(desk.now_ns)
@@ -478,7 +481,7 @@ def test_after_a_fault_the_stage_begins_again_a_bounded_number_of_times():
     assert "too many faults" in desk.refusal("x")
     desk.director.do("wake", desk.now_ns)
     desk.obey()
-    assert desk.others[-1] == orders.Connect()
+    assert desk.others[-1] == orders.ConnectOrder()
 
 
 def test_a_fault_that_does_not_come_back_by_itself_is_not_tried_again():
@@ -497,7 +500,7 @@ def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
         desk.others.clear()
         desk.playing.clear()
         desk.wait(5)
-        if orders.Connect() not in desk.others:
+        if orders.ConnectOrder() not in desk.others:
             return False
         desk.director.connected(desk.now_ns)
         desk.obey()
@@ -509,7 +512,7 @@ def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
 
 
 def test_readings_that_come_all_the_time_do_not_put_off_the_clock():
-    desk = Desk(duty=Duty(work_s=10.0, rest_s=100.0))
+    desk = Desk(duty=DutyRule(work_s=10.0, rest_s=100.0))
     for _ in range(150):
         desk.now_ns += NS_PER_S // 10
         desk.signal(reading(900))
@@ -523,8 +526,8 @@ def test_readings_that_come_all_the_time_do_not_put_off_the_clock():
 
 
 def timed(name, at_s, show):
-    on = Trigger(kind=TriggerKind.TIMECODE, address=name, at_s=at_s)
-    return Cue(name=name, on=on, shows=(show,), start="terminate", follows=True)
+    on = CueTrigger(kind=TriggerKind.TIMECODE, address=name, at_s=at_s)
+    return StageCue(name=name, on=on, shows=(show,), start="terminate", follows=True)
 
 
 def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after_a_jump():
@@ -657,9 +660,9 @@ def test_timecode_of_another_show_ends_the_wait_and_starts_that_one():
 
 
 def test_the_clock_may_be_set_in_mid_show_and_no_cue_fires_twice():
-    every = Cue(
+    every = StageCue(
         name="ten",
-        on=Trigger(kind=TriggerKind.TIME, address="*/10 * * * *"),
+        on=CueTrigger(kind=TriggerKind.TIME, address="*/10 * * * *"),
         shows=("b",),
         start="add",
     )

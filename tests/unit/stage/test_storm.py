@@ -15,13 +15,13 @@ from lss_motion.stage import orders
 from lss_motion.stage.director import QUEUE_MAX, Director, ShowInfo
 from lss_motion.stage.file import Budget
 from lss_motion.stage.model import (
-    Cue,
-    Duty,
+    CueTrigger,
+    DutyRule,
     LogRule,
     Signal,
     Stage,
+    StageCue,
     StageShow,
-    Trigger,
     TriggerKind,
 )
 from lss_motion.units import NS_PER_S
@@ -145,7 +145,7 @@ class Desk:
         self.director = Director(stage, INFOS, Random(seed))
         self.now_ns = 0
         self.wall = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
-        self.playing: dict[int, orders.Play] = {}
+        self.playing: dict[int, orders.PlayOrder] = {}
         self.notes: list[orders.Note] = []
         self.connects = 0
         self.orders = 0
@@ -157,15 +157,15 @@ class Desk:
     def obey(self):
         while (order := self.director.next_order()) is not None:
             self.orders += 1
-            if isinstance(order, orders.Play):
+            if isinstance(order, orders.PlayOrder):
                 self.on_play(order)
-            if isinstance(order, orders.Stop) or getattr(order, "how", "") == "change":
+            if isinstance(order, orders.StopOrder) or getattr(order, "how", "") == "change":
                 left, self.playing = self.playing, {}
                 for number in left:
                     self.director.ended(number, "left", 1.0, self.now_ns)
-            if isinstance(order, orders.Play):
+            if isinstance(order, orders.PlayOrder):
                 self.playing[order.number] = order
-            self.connects += isinstance(order, orders.Connect)
+            self.connects += isinstance(order, orders.ConnectOrder)
             if isinstance(order, orders.Note):
                 self.notes.append(order)
 
@@ -200,9 +200,9 @@ acts_strategy = st.lists(
 @given(cues_strategy, acts_strategy)
 def test_the_start_modes_do_what_a_model_of_them_does(made, acts):
     cues = [
-        Cue(
+        StageCue(
             name=f"k{number}",
-            on=Trigger(kind=TriggerKind.KEY, address=f"k{number}"),
+            on=CueTrigger(kind=TriggerKind.KEY, address=f"k{number}"),
             shows=(show,),
             start=start,
             priority=priority,
@@ -246,9 +246,9 @@ def test_in_any_storm_joints_have_one_show_rests_are_kept_and_every_trigger_is_e
     made, events
 ):
     cues = [
-        Cue(
+        StageCue(
             name=f"k{number}",
-            on=Trigger(kind=TriggerKind.KEY, address="k"),
+            on=CueTrigger(kind=TriggerKind.KEY, address="k"),
             shows=(show, "a"),
             choice="random",
             start=start,
@@ -257,7 +257,7 @@ def test_in_any_storm_joints_have_one_show_rests_are_kept_and_every_trigger_is_e
         )
         for number, (start, show, priority, cooldown_s) in enumerate(made)
     ]
-    duty = Duty(
+    duty = DutyRule(
         work_s=300.0,
         rest_s=60.0,
         rest="sleep",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion.stage.timecode import chase
-from lss_motion.stage.timecode.chase import Chase, Observation, State
+from lss_motion.stage.timecode.chase import Chase, ChaseState, TimecodeObservation
 from lss_motion.stage.timecode.ltc import levels, sound_of
 from lss_motion.stage.timecode.messages import FppReading, fpp_packet
 from lss_motion.stage.timecode.receive import ArtNetReader, FppReader, LtcReader, MtcReader
@@ -18,8 +18,8 @@ from lss_motion.stage.timecode.timecode import (
     FPS_25,
     FPS_29_97,
     FPS_30,
-    Start,
     Timecode,
+    TimecodeStart,
 )
 
 FRAME_NS = 40_000_000
@@ -40,7 +40,7 @@ class Deck:
             self.at_s += rate * 0.04 if step is None else step
             late_ns = abs(round(1e9 * self.luck.gauss(0.0, self.jitter_s)))
             if is_heard:
-                observation = Observation(self.now_ns + late_ns, self.at_s, direction)
+                observation = TimecodeObservation(self.now_ns + late_ns, self.at_s, direction)
                 self.chase.take(observation, source)
             self.chase.advance(self.now_ns + late_ns)
             for leg in self.chase.take_legs():
@@ -52,8 +52,8 @@ class Deck:
 
 def test_two_consistent_frames_lock_and_a_single_one_does_not():
     deck = Deck().run(0.04)
-    assert deck.chase.state is State.SEARCHING
-    assert deck.run(0.04).chase.state is State.LOCKED
+    assert deck.chase.state is ChaseState.SEARCHING
+    assert deck.run(0.04).chase.state is ChaseState.LOCKED
     assert deck.errors_s[-1] == pytest.approx(0.0, abs=2e-4)
 
 
@@ -72,17 +72,17 @@ def test_the_rate_is_fitted_also_where_every_frame_is_read_after_a_turn():
         at_ns = 1_000_000_000 + frame * FRAME_NS + abs(round(1e9 * luck.gauss(0.0, 2e-5)))
         for turn in range(5):
             leader.advance(at_ns + turn * FRAME_NS // 10)
-        leader.take(Observation(at_ns, 100.0 + frame * 0.04 * 0.9999, 1), "a")
+        leader.take(TimecodeObservation(at_ns, 100.0 + frame * 0.04 * 0.9999, 1), "a")
     assert leader.rate == pytest.approx(0.9999, abs=1e-5)
 
 
 def test_a_leader_beyond_half_a_percent_is_held_and_said_and_followed_again():
     deck = Deck().run(3.0).run(4.0, rate=1.02)
-    assert deck.chase.state is State.OFF_SPEED
+    assert deck.chase.state is ChaseState.OFF_SPEED
     assert deck.legs[-1].rate == 0.0
     assert any("more than 0.5 % off" in text for text in deck.chase.take_texts())
     deck.run(8.0)
-    assert deck.chase.state is State.LOCKED
+    assert deck.chase.state is ChaseState.LOCKED
     assert deck.errors_s[-1] == pytest.approx(0.0, abs=2e-4)
 
 
@@ -94,7 +94,7 @@ def verdicts(style, fps, late_ms, seconds, rate=1.0, seeds=8):
         for number in range(int(seconds * fps)):
             late_ns = round(1e6 * late_ms * luck.random())
             now_ns = 1_000_000_000 + round(1e9 * number / fps) + late_ns
-            chased.take(Observation(now_ns, rate * number / fps), "desk")
+            chased.take(TimecodeObservation(now_ns, rate * number / fps), "desk")
             chased.advance(now_ns)
         texts += chased.take_texts()
         states.add(chased.state)
@@ -114,66 +114,66 @@ def test_a_speed_that_is_known_through_the_jitter_is_said(late_ms):
     assert sum("23.976" in text for text in texts) == 8
     texts, states = verdicts(chase.ART_NET, 25, late_ms, 5.0, rate=1.01)
     assert sum("more than 0.5 % off" in text for text in texts) == 8
-    assert states == {State.OFF_SPEED}
+    assert states == {ChaseState.OFF_SPEED}
 
 
 def test_one_wrong_frame_changes_nothing_and_a_jump_locks_at_its_second():
     deck = Deck().run(3.0)
-    deck.chase.take(Observation(deck.now_ns + 10, 4000.0), "a")
+    deck.chase.take(TimecodeObservation(deck.now_ns + 10, 4000.0), "a")
     deck.run(2.0)
     assert np.abs(deck.errors_s[20:]).max() < 2e-4
     deck.at_s += 50.0
     deck.run(0.08)
-    assert deck.chase.state is State.LOCKED
+    assert deck.chase.state is ChaseState.LOCKED
     assert deck.errors_s[-1] == pytest.approx(0.0, abs=2e-4)
     assert any("jumps by +50.00" in text for text in deck.chase.take_texts())
 
 
 def test_a_drop_out_freewheels_then_is_lost_and_found_again():
     deck = Deck(freewheel_s=2.0).run(5.0).run(1.0, is_heard=False)
-    assert deck.chase.state is State.FREEWHEELING
+    assert deck.chase.state is ChaseState.FREEWHEELING
     count = len(deck.legs)
     deck.run(0.04)
-    assert deck.chase.state is State.LOCKED, "it fits what was expected"
+    assert deck.chase.state is ChaseState.LOCKED, "it fits what was expected"
     deck.run(2.4, is_heard=False)
-    assert deck.chase.state is State.LOST
+    assert deck.chase.state is ChaseState.LOST
     assert len(deck.legs) < count + 12, "no legs are made up"
-    assert deck.run(0.08).chase.state is State.LOCKED
+    assert deck.run(0.08).chase.state is ChaseState.LOCKED
 
 
 def test_backward_winding_and_standing_hold():
     deck = Deck().run(2.0).run(0.5, rate=-1.0, direction=-1)
-    assert deck.chase.state is State.REVERSE
+    assert deck.chase.state is ChaseState.REVERSE
     assert deck.legs[-1].rate == 0.0
     deck.run(1.0)
-    assert deck.chase.state is State.LOCKED
+    assert deck.chase.state is ChaseState.LOCKED
     deck.run(1.0, rate=1.7)
-    assert deck.chase.state is State.OFF_SPEED
+    assert deck.chase.state is ChaseState.OFF_SPEED
     deck.run(1.0)
-    assert deck.chase.state is State.LOCKED
+    assert deck.chase.state is ChaseState.LOCKED
     deck.run(1.0, step=0.0)
-    assert deck.chase.state is State.STANDING
+    assert deck.chase.state is ChaseState.STANDING
     assert deck.legs[-1].rate == 0.0
     assert deck.legs[-1].show_s == deck.at_s
-    assert deck.run(0.2).chase.state is State.LOCKED
+    assert deck.run(0.2).chase.state is ChaseState.LOCKED
 
 
 @pytest.mark.parametrize("state", chase.HELD)
 def test_after_whatever_a_leader_does_silence_ends_in_lost(state):
     deck = Deck(freewheel_s=2.0).run(2.0)
     match state:
-        case State.STANDING:
+        case ChaseState.STANDING:
             deck.run(1.0, step=0.0)
-        case State.REVERSE:
+        case ChaseState.REVERSE:
             deck.run(0.5, rate=-1.0, direction=-1)
         case _:
             deck.run(1.0, rate=1.7)
     assert deck.chase.state is state
     count = len(deck.legs)
     deck.run(2.1, is_heard=False)
-    assert deck.chase.state is State.LOST
+    assert deck.chase.state is ChaseState.LOST
     assert len(deck.legs) <= count + 1, "no legs are made up"
-    assert deck.run(0.08).chase.state is State.LOCKED
+    assert deck.run(0.08).chase.state is ChaseState.LOCKED
 
 
 def test_whatever_comes_before_it_silence_ends_in_lost():
@@ -184,35 +184,35 @@ def test_whatever_comes_before_it_silence_ends_in_lost():
             deck.at_s += luck.choice([0.0, 0.0, 30.0])
             is_heard, source = luck.random() < 0.8, luck.choice("aab")
             deck.run(luck.uniform(0.04, 1.0), rate, source, is_heard, direction)
-        had_state = deck.chase.state is not State.SEARCHING
+        had_state = deck.chase.state is not ChaseState.SEARCHING
         deck.run(1.6, is_heard=False)
-        assert deck.chase.state is (State.LOST if had_state else State.SEARCHING), seed
+        assert deck.chase.state is (ChaseState.LOST if had_state else ChaseState.SEARCHING), seed
 
 
 def test_of_two_sources_the_first_is_kept_until_it_is_gone():
     deck = Deck().run(2.0)
     for _ in range(50):
         deck.run(0.04)
-        deck.chase.take(Observation(deck.now_ns + 5_000_000, 7.0 + deck.at_s), "b")
+        deck.chase.take(TimecodeObservation(deck.now_ns + 5_000_000, 7.0 + deck.at_s), "b")
     assert deck.chase.source == "a"
     assert np.abs(deck.errors_s[10:]).max() < 2e-4
     assert any("of b is ignored" in text for text in deck.chase.take_texts())
     deck.run(2.2, is_heard=False)
     deck.run(0.2, source="b")
     assert deck.chase.source == "b"
-    assert deck.chase.state is State.LOCKED
+    assert deck.chase.state is ChaseState.LOCKED
 
 
 def test_garbage_never_locks():
     chased, luck = Chase(chase.LTC), random.Random(1)
     for number in range(20000):
-        observation = Observation(
+        observation = TimecodeObservation(
             number * 1_000_000, luck.uniform(0, 86400), luck.choice((1, 1, -1))
         )
         chased.take(observation, luck.choice("ab"))
         chased.advance(number * 1_000_000)
     assert all(leg.rate == 0.0 for leg in chased.take_legs())
-    assert chased.state is not State.LOCKED
+    assert chased.state is not ChaseState.LOCKED
 
 
 def test_an_hour_with_a_drifting_clock_stays_within_a_tenth_of_a_millisecond():
@@ -220,14 +220,14 @@ def test_an_hour_with_a_drifting_clock_stays_within_a_tenth_of_a_millisecond():
     for part in range(36):  # From -100 to +100 ppm and back, 100 s each.
         deck.run(10.0, rate=1.0 + 1e-4 * np.sin(part / 3.0))
     assert np.abs(deck.errors_s[20:]).max() < 2e-4
-    assert set(deck.states[2:]) == {State.LOCKED}
+    assert set(deck.states[2:]) == {ChaseState.LOCKED}
 
 
 def test_a_show_begins_at_its_offset_also_across_midnight():
-    chased, start = Chase(chase.LTC), Start(86390.0)
+    chased, start = Chase(chase.LTC), TimecodeStart(86390.0)
     for number in range(400):
         frame = (86388 * 25 + number) % FPS_25.frames_per_day
-        chased.take(Observation(number * FRAME_NS, start.show_s(frame, FPS_25)), "")
+        chased.take(TimecodeObservation(number * FRAME_NS, start.show_s(frame, FPS_25)), "")
     leg = chased.take_legs()[-1]
     assert leg.at_s(399 * FRAME_NS) == pytest.approx(0.04 * 399 - 2.0, abs=1e-6)
 
@@ -258,7 +258,7 @@ def test_the_rate_of_ltc_is_measured_and_a_wrong_one_is_said():
 
 
 def test_the_label_at_which_a_show_begins_is_read_at_the_rate_of_the_frames():
-    start = Start(label=Timecode(1, 0, 0, 29))
+    start = TimecodeStart(label=Timecode(1, 0, 0, 29))
     for rate, code in ((FPS_30, 3), (FPS_29_97, 3)):
         wanted = None if rate is FPS_30 else rate
         reader = ArtNetReader(wanted, [].append, start)
@@ -335,7 +335,7 @@ def test_another_player_is_ignored_and_a_stop_of_what_played_before_too():
     player.play(("sequence", "one.fseq"), stops=False)
     player.send("sync", "sequence", 3.0, "one.fseq", address="10.0.0.2")
     player.send("stop", "sequence", 0.0, "none.fseq")
-    assert player.chase.state is State.LOCKED
+    assert player.chase.state is ChaseState.LOCKED
     assert player.chase.source == "10.0.0.1"
     assert any("10.0.0.2 is ignored" in text for text in player.chase.take_texts())
 
@@ -347,7 +347,7 @@ def test_readers_of_messages_say_a_wrong_rate_and_take_no_garbage():
     assert list(reader.take(packet, "10.0.0.1", 5)) == []
     assert "comes with 30 frames" in said[0]
     assert list(ArtNetReader(None, said.append).take(packet, "10.0.0.1", 5)) == [
-        (Observation(5, pytest.approx(-50 * 60 - 1 + 2 / 30)), "10.0.0.1")
+        (TimecodeObservation(5, pytest.approx(-50 * 60 - 1 + 2 / 30)), "10.0.0.1")
     ]
     assert list(FppReader().take(b"FPPD", "10.0.0.1", 5)) == []
     assert list(MtcReader(None, said.append).take(b"\xf1", 5)) == []

@@ -57,14 +57,14 @@ def test_messages_of_bundles_come_in_order_with_their_time():
     inner = bundle(1_800_000_000.5, built("/b", 1), built("/c", "text", 2.5, True))
     data = bundle(IMMEDIATELY, built("/a"), inner).dgram
     assert osc.messages_of(data) == [
-        osc.Message("/a"),
-        osc.Message("/b", (1,), 1_800_000_000.5),
-        osc.Message("/c", ("text", 2.5, True), 1_800_000_000.5),
+        osc.OscMessage("/a"),
+        osc.OscMessage("/b", (1,), 1_800_000_000.5),
+        osc.OscMessage("/c", ("text", 2.5, True), 1_800_000_000.5),
     ]
-    assert osc.delay_s(osc.Message("/b", (), 1000.5), 1000.0) == 0.5
-    assert osc.delay_s(osc.Message("/b", (), 990.0), 1000.0) == 0.0
+    assert osc.delay_s(osc.OscMessage("/b", (), 1000.5), 1000.0) == 0.5
+    assert osc.delay_s(osc.OscMessage("/b", (), 990.0), 1000.0) == 0.0
     with pytest.raises(osc.OscError, match="set the clocks"):
-        osc.delay_s(osc.Message("/b", (), 5000.0), 1000.0)
+        osc.delay_s(osc.OscMessage("/b", (), 5000.0), 1000.0)
 
 
 @pytest.mark.parametrize(
