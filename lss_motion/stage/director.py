@@ -125,8 +125,7 @@ class Director:
         self.timecode.renew(stage.cues, self._durations_s())
         is_same = self.main is None or (self.main.show == stage.idle and stage.idle not in changed)
         if not is_same and not self._rests:
-            self._leave_all()
-            self._orders.append(orders.StopOrder())
+            self._stop_all()
         self._settle()
 
     def _durations_s(self) -> dict[str, float]:
@@ -262,8 +261,7 @@ class Director:
         """Leave the show of that number: what it follows is elsewhere."""
         self._now_ns = now_ns
         if self.main is not None and self.main.number == number:
-            self._leave_all()
-            self._orders.append(orders.StopOrder())
+            self._stop_all()
             self._settle()
 
     def is_ready(self, number: int) -> bool:
@@ -364,8 +362,7 @@ class Director:
         """Note a fault that ended the run: nothing plays, and the robot is safe."""
         self._now_ns = now_ns
         self.is_connected, self._must_connect = False, True
-        everything = [*filter(None, [self.main]), *self.added, *self._leaving.values()]
-        for over in everything:
+        for over in [*self._ordered, *self._leaving.values()]:
             self._note_end(over, "fault")
         self.main, self.added, self._rests = None, [], False
         self._leaving.clear()
@@ -529,6 +526,10 @@ class Director:
         is_waiting = main.is_ready and not self.timecode.is_running(self._now_ns)
         return [*self.added] if is_waiting else [main, *self.added]
 
+    @property
+    def _ordered(self) -> list[OrderedShow]:
+        return [*filter(None, [self.main]), *self.added]
+
     def _outranked(self, cue: StageCue) -> str:
         for playing in self._playing():
             if playing.priority > cue.priority:
@@ -543,7 +544,7 @@ class Director:
         return ""
 
     def _why_not_added(self, show: str) -> str:
-        for playing in [*filter(None, [self.main]), *self.added]:
+        for playing in self._ordered:
             shared = self.shows[playing.show].joints & self.shows[show].joints
             if playing.show == show:
                 return f"{show} plays"
@@ -606,8 +607,12 @@ class Director:
         cause = "the rest" if is_rest else "idle" if cue is None else f"cue {cue.name}"
         self._orders.append(orders.ShowStartNote(number=self._number, show=show, cause=cause))
 
+    def _stop_all(self) -> None:
+        self._leave_all()
+        self._orders.append(orders.StopOrder())
+
     def _leave_all(self) -> None:
-        for playing in [*filter(None, [self.main]), *self.added]:
+        for playing in self._ordered:
             self._leaving[playing.number] = playing
         self.main, self.added = None, []
 
@@ -622,8 +627,7 @@ class Director:
         match deed:
             case "stop":
                 self._drop_waiting()
-                self._leave_all()
-                self._orders.append(orders.StopOrder())
+                self._stop_all()
             case "rest":
                 self.duty.begin(Reason.OPERATOR)
             case "wake":
@@ -668,8 +672,7 @@ class Director:
             assert rest is not None
             self._play(rest, None, is_rest=True)
         elif self.main is not None or self.added:
-            self._leave_all()
-            self._orders.append(orders.StopOrder())
+            self._stop_all()
 
     def _next(self) -> None:
         """Resume what was interrupted, then play what is queued, then the idle show."""
