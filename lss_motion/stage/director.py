@@ -30,7 +30,7 @@ from lss_motion.stage.triggering import FREEWHEEL_S, Bags, CronClock, TimecodeCu
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from datetime import datetime
     from random import Random
 
@@ -85,7 +85,7 @@ class Director:
         self.armed: str | None = None
         self._bags = Bags(random)
         self._triggers = Triggers(stage.cues)
-        self._cron = CronClock(times_of(stage), stage.zone)
+        self._cron = CronClock(stage.addresses(TriggerKind.TIME), stage.zone)
         given = stage.sync.timecode
         freewheel_s = FREEWHEEL_S if given is None else given.freewheel_s
         self.timecode = TimecodeCues(stage.cues, self._durations_s(), freewheel_s)
@@ -121,7 +121,7 @@ class Director:
         self.duty.renew(stage)
         self._bags.forget()
         self._triggers.cues = stage.cues
-        self._cron.watch(times_of(stage), stage.zone)
+        self._cron.watch(stage.addresses(TriggerKind.TIME), stage.zone)
         self.timecode.renew(stage.cues, self._durations_s())
         is_same = self.main is None or (self.main.show == stage.idle and stage.idle not in changed)
         if not is_same and not self._rests:
@@ -391,7 +391,6 @@ class Director:
         self.duty.measured(temperature_c, current_a, now_ns, who)
         if self.duty.rate != self._rate:
             self._rate = self.duty.rate
-            self._orders.append(orders.RateOrder(self._rate))
             self._orders.append(orders.Remark(f"plays at {self._rate:.0%} of its speed, by budget"))
         self._settle()
 
@@ -697,8 +696,3 @@ class Director:
         if reasons != self._reasons:
             self._reasons = reasons
             self._orders.append(orders.RestChanged(tuple(self.duty.reasons.values())))
-
-
-def times_of(stage: Stage) -> Iterator[str]:
-    """Yield the times of day at which cues fire."""
-    return (cue.on.address for cue in stage.cues if cue.on.kind is TriggerKind.TIME)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.texts import known_names
@@ -32,8 +33,11 @@ from lss_motion.system.messages import plain
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.remote.operator_end import Operator
+    from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
     from lss_motion.stage.director import Director
     from lss_motion.stage.log import Record
@@ -46,68 +50,99 @@ STATE_NS: Final = NS_PER_S
 """The state is sent this often, and after each note."""
 
 
-class StageJob(Struct, frozen=True, kw_only=True):
-    """A planned stage, and how it is run.
+class DirectedJob(Struct, frozen=True, kw_only=True):
+    """What the jobs of a stage with one robot and of a conductor share.
 
-    `options` are fields of `running.Options`, `start_at` as an ISO text, and `log_folder`; others
-    are those of `playing.run.RunOptions`.
+    `options`: `log_folder`, if it is not that of the stage, and those of the subclass.
     """
 
-    planned: Planned
     rule: LossRule = field(default_factory=LossRule)
     options: dict[str, Any] = field(default_factory=dict)
 
     def run(self, operator: Operator) -> Outcome:
         """Play the stage with this client as its operator; send the first and the last event."""
-        steering = StageSteering(operator, self.rule)
-        options, folder = options_of(self.options)
-        rule = self.planned.stage.log
-        if folder is not None:
-            rule = type(rule)(folder=folder, max_bytes=rule.max_bytes, ring_s=rule.ring_s)
-        given = self.planned.stage.sync.timecode
-        with contextlib.ExitStack() as stack:
-            log = stack.enter_context(StageLog(rule, is_virtual=options.is_virtual))
-            steering.kept = log
-            legs = None
-            if given is not None and not options.is_virtual:
-                legs = stack.enter_context(OwnSource(spec_of(given)))
-            texts: list[str] = []
-            sends = () if options.is_virtual else self.planned.stage.sync.send
-            outs = opened(sends, stack, texts.append)
-            run = StageRun(
-                self.planned, options, steerer=steering, note=log.write, legs=legs, outs=outs
-            )
-            steering.begin(run)
-            run.record("begins", "the stage begins")
-            for text in texts:
-                run.record("timecode", f"timecode: {text}")
-            try:
-                end = run.play()
-                run.note_counts(is_last=True)
-                report, error = None if end.last is None else end.last.report, end.error
-            except LssMotionError as refused:
-                report, error = None, refused
-        outcome = Outcome(report, error)
+        steering = self._steering(operator)
+        try:
+            with contextlib.ExitStack() as stack:
+                outcome = self._play(steering, stack)
+        except LssMotionError as refused:
+            outcome = Outcome(None, refused)
         steering.note_log(is_last=True)
         steering.end(outcome.message)
         return outcome
 
+    @property
+    def plans(self) -> dict[str, bytes]:
+        """The names of the plans that the own robot plays, by show."""
+        raise NotImplementedError
 
-def stage_job(planned: Planned, *, seed: int | None = None) -> StageJob:
-    """Return the job of a stage, which can be pickled; `seed` is that of random choices."""
-    return StageJob(planned=planned, options={"seed": seed})
+    def renew(self, run: Any, player: Player | None) -> tuple[str, str]:  # noqa: ANN401  (its own)
+        """Let the run go on with the files of this job; return kind and text of what came of it."""
+        raise NotImplementedError
+
+    def _steering(self, operator: Operator) -> StageSteering:
+        return StageSteering(operator, self.rule)
+
+    def _play(self, steering: StageSteering, stack: contextlib.ExitStack) -> Outcome:
+        raise NotImplementedError
+
+    def _open(
+        self, stage: Stage, steering: StageSteering, stack: contextlib.ExitStack, **options: bool
+    ) -> tuple[StageLog, OwnSource | None]:
+        """Open the log, and the timecode, which virtual time (`is_virtual`) does not have."""
+        rule, given, folder = stage.log, stage.sync.timecode, self.options.get("log_folder")
+        if folder is not None:
+            rule = replace(rule, folder=Path(folder))
+        log = steering.kept = stack.enter_context(StageLog(rule, **options))
+        if given is None or options.get("is_virtual"):
+            return log, None
+        return log, stack.enter_context(OwnSource(spec_of(given)))
 
 
-def options_of(given: dict[str, Any]) -> tuple[Options, Path | None]:
-    """Return the options of a run, and the folder of its log if it is not that of the stage."""
+class StageJob(DirectedJob, frozen=True, kw_only=True):
+    """A planned stage with one robot, and how it is run.
+
+    `options` are fields of `running.Options`, `start_at` as an ISO text; others are those of
+    `playing.run.RunOptions`.
+    """
+
+    planned: Planned
+
+    @property
+    def plans(self) -> dict[str, bytes]:
+        return {name: plan_hash(show.program) for name, show in self.planned.shows.items()}
+
+    def renew(self, run: StageRun, player: Player | None) -> tuple[str, str]:
+        return run.renew(self.planned, player)
+
+    def _play(self, steering: StageSteering, stack: contextlib.ExitStack) -> Outcome:
+        options, stage = options_of(self.options), self.planned.stage
+        log, legs = self._open(stage, steering, stack, is_virtual=options.is_virtual)
+        texts: list[str] = []
+        sends = () if options.is_virtual else stage.sync.send
+        outs = opened(sends, stack, texts.append)
+        run = StageRun(
+            self.planned, options, steerer=steering, note=log.write, legs=legs, outs=outs
+        )
+        moved = {name for one in run.programs.values() for name in one.start_deg}
+        steering.begin(run, run.robot, filter(moved.__contains__, run.robot.joints), self.plans)
+        run.record("begins", "the stage begins")
+        for text in texts:
+            run.record("timecode", f"timecode: {text}")
+        end = run.play()
+        run.note_counts(is_last=True)
+        return Outcome(None if end.last is None else end.last.report, end.error)
+
+
+def options_of(given: dict[str, Any]) -> Options:
+    """Return the options of a run; those that are not its own are `more`."""
     own = {name: value for name, value in given.items() if name in Options.__slots__}
-    rest = {name: value for name, value in given.items() if name not in own}
-    folder = rest.pop("log_folder", None)
+    rest = {name: value for name, value in given.items() if name not in {*own, "log_folder"}}
     for name in ("start_at", "begins"):
         if isinstance(own.get(name), str):
             own[name] = datetime.fromisoformat(own[name])
     own["more"] = {**own.get("more", {}), **rest}
-    return Options(**own), None if folder is None else Path(folder)
+    return Options(**own)
 
 
 def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
@@ -139,6 +174,9 @@ class Directed(Protocol):
     now_ns: int
 
     def state_of(self) -> Record: ...
+
+    def record(self, kind: str, text: str) -> None:
+        """Keep what happened, with the time of day."""
 
 
 def direct(run: Directed, operation: m.AnyOperation) -> bool:
@@ -172,8 +210,6 @@ class StageSteering(Steering):
     def __init__(self, operator: Operator, rule: LossRule | None = None) -> None:
         super().__init__(operator, rule)
         self._run: Directed | None = None
-        self._own: StageRun | None = None
-        """The same, if it is a stage with one robot."""
         self.kept: StageLog | None = None
         """The log of the stage, to say when it cannot be written."""
         self._stated_ns = 0
@@ -189,16 +225,12 @@ class StageSteering(Steering):
         """The rate that the client has set; 0: paused."""
         return 0.0 if self._is_paused else self._rate
 
-    def begin(self, run: StageRun) -> None:
+    def begin(
+        self, run: Directed, robot: Robot, joints: Iterable[str], plans: dict[str, bytes]
+    ) -> None:
         """Send the first event of a stage."""
-        self._run = self._own = run
-        self._name_plans(run)
-        names = {name for one in run.programs.values() for name in one.start_deg}
-        joints = (name for name in run.robot.joints if name in names)
-        self.start_many(run.stage.name, run.robot, joints)
-
-    def _name_plans(self, run: StageRun) -> None:
-        self.plans = {name: plan_hash(one) for name, one in run.programs.items()}
+        self._run, self.plans = run, plans
+        self.start_many(run.stage.name, robot, joints)
 
     # ---- controls
 
@@ -214,16 +246,16 @@ class StageSteering(Steering):
 
     def _renew(self, job: bytes, player: Player | None) -> None:
         """Go on with newer files, or note why the stage must begin anew for them."""
-        assert self._own is not None
-        if len(job) > RENEW_MAX_BYTES:
+        assert self._run is not None
+        if player is not None and len(job) > RENEW_MAX_BYTES:
             reason = f"they have {len(job) / 1e6:.1f} MB, too much to be read beside moves"
-            self._own.record(*must_restart(reason))
+            self._run.record(*must_restart(reason))
             return
-        newer: StageJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
-        kind, text = self._own.renew(newer.planned, player)
-        self._own.record(kind, text)
+        newer: DirectedJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
+        kind, text = newer.renew(self._run, player)
+        self._run.record(kind, text)
         if kind == "renewed":
-            self._name_plans(self._own)
+            self.plans = newer.plans
 
     def _watch(self, player: Player, now_ns: int) -> None:
         """End the stage when the server is gone: nothing could ever end it, and it has no end."""

@@ -234,8 +234,6 @@ class Stage(Struct, frozen=True, kw_only=True):
         """Return the cue of that name; None: there is none."""
         return next((cue for cue in self.cues if cue.name == name), None)
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """The sensors that cues wait for, each once."""
-        names = (cue.on.address for cue in self.cues if cue.on.kind is TriggerKind.SENSOR)
-        return tuple(dict.fromkeys(names))
+    def addresses(self, kind: TriggerKind) -> tuple[str, ...]:
+        """Return what cues of one kind wait for, such as sensors or times of day; each once."""
+        return tuple(dict.fromkeys(cue.on.address for cue in self.cues if cue.on.kind is kind))

@@ -44,12 +44,6 @@ class RelaxOrder(Struct, frozen=True):
     """Take the power from the servos in the rest pose, until the next show."""
 
 
-class RateOrder(Struct, frozen=True):
-    """Play at this ratio of the speed."""
-
-    ratio: float
-
-
 class ConnectOrder(Struct, frozen=True):
     """Begin a new run: check the servos again, set them up. `Director.connected` answers."""
 
@@ -144,7 +138,7 @@ class Remark(Struct, frozen=True):
 Note: TypeAlias = (
     CueFired | CueRefused | ShowRefused | ShowStartNote | ShowEndNote | RestChanged | Remark
 )
-Order: TypeAlias = PlayOrder | StopOrder | RelaxOrder | RateOrder | ConnectOrder | Alert
+Order: TypeAlias = PlayOrder | StopOrder | RelaxOrder | ConnectOrder | Alert
 
 
 LEAST_PRIORITY: Final = -101

@@ -269,13 +269,14 @@ class StageRun:
         if not director.is_free or is_changing:
             return "busy", ""
         stage, programs = planned.stage, {n: show.program for n, show in planned.shows.items()}
+        sensor, old = TriggerKind.SENSOR, self.stage
         differs = [
             name
             for name, before, after in (
                 ("the robot", self.robot, robot_of(planned)),
-                ("sync", self.stage.sync, stage.sync),
-                ("log", self.stage.log, stage.log),
-                ("a sensor of the cues", self.stage.sensors, stage.sensors),
+                ("sync", old.sync, stage.sync),
+                ("log", old.log, stage.log),
+                ("a sensor of the cues", old.addresses(sensor), stage.addresses(sensor)),
                 ("a function of the shows", self._functions, planned.functions),
             )
             if before != after
@@ -336,7 +337,7 @@ class StageRun:
             on_event=self.on_event, on_turn=self.on_turn, controls=self, make_tap=self._make_tap
         )
         return perform(
-            Repertoire(self.programs, self.robot, watched=self.stage.sensors),
+            Repertoire(self.programs, self.robot, watched=self.stage.addresses(TriggerKind.SENSOR)),
             self.robot,
             is_virtual=options.is_virtual,
             is_real_time=options.is_real_time,

@@ -43,7 +43,7 @@ MODULES: Final[Mapping[str, tuple[str, str]]] = {
 
 def addresses(stage: Stage, kind: TriggerKind) -> frozenset[str]:
     """Return the addresses that cues of one kind wait for."""
-    return frozenset(cue.on.address for cue in stage.cues if cue.on.kind is kind)
+    return frozenset(stage.addresses(kind))
 
 
 def thresholds(stage: Stage, kind: TriggerKind) -> dict[str, tuple[float, ...]]:

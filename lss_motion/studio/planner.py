@@ -209,7 +209,7 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     from lss_motion.playing.connection import with_port
     from lss_motion.playing.remote.process import packed
     from lss_motion.stage.check import plan_stage, stage_lines
-    from lss_motion.stage.job import stage_job
+    from lss_motion.stage.job import StageJob
     from lss_motion.stage.load import load_stage
 
     found |= {"kind": "stage", "title": request.path.stem}
@@ -233,7 +233,7 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
         "plan": hashlib.sha256(names).hexdigest()[:16],
         "plans": plans,
         "stage": replace(stage, robot=None),
-        "job": packed(stage_job(planned)),
+        "job": packed(StageJob(planned=planned)),
         "summary": tuple(lines),
         "functions": planned.functions,
     }

@@ -18,7 +18,7 @@ from lss_motion.playing.remote.process import packed, start_process
 from lss_motion.playing.remote.telemetry import Telemetry, plan_hash
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.file import Sync, TimecodeInput
-from lss_motion.stage.job import StageSteering, options_of, stage_job
+from lss_motion.stage.job import StageJob, StageSteering, options_of
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.model import CueTrigger, StageCue, TriggerKind
 from lss_motion.stage.running import Options, StageRun
@@ -89,7 +89,7 @@ class Scripted(StageSteering):
 def play(planned, script, lasts_s=None):
     steering = Scripted(script)
     run = StageRun(planned, Options(is_virtual=True, lasts_s=lasts_s), steerer=steering)
-    steering.begin(run)
+    steering.begin(run, run.robot, run.robot.joints, StageJob(planned=planned).plans)
     end = run.play()
     steering.end(m.Ended(outcome="stopped", error=None, report=None))
     steering.events += read(steering.client)[0]
@@ -153,7 +153,7 @@ def test_what_waits_as_the_stage_ends_is_noted(tmp_path):
     ])  # fmt: skip
     planned = plan_stage(load_stage(tmp_path / "stage.yaml"))
     run = StageRun(planned, Options(is_virtual=True), steerer=steering)
-    steering.begin(run)
+    steering.begin(run, run.robot, run.robot.joints, StageJob(planned=planned).plans)
     run.play()
     run.note_counts(is_last=True)
     notes = [(one.kind, one.cue) for one in steering.of(s.StageNote)]
@@ -168,7 +168,7 @@ def test_what_waits_as_the_stage_ends_is_noted(tmp_path):
 
 def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned, tmp_path):
     options = {"is_virtual": True, "lasts_s": 20.0, "log_folder": str(tmp_path), "seed": 3}
-    process = start_process(packed(stage_job(planned)), options=options)
+    process = start_process(packed(StageJob(planned=planned)), options=options)
     link = process.pipe
     link.set_blocking(is_blocking=True, timeout_s=30)
     events, objects = [], []
@@ -190,12 +190,11 @@ def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned
 
 
 def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():
-    options, folder = options_of(
+    options = options_of(
         {"start_at": "2026-10-30T18:00:00+00:00", "has_feedback": False, "log_folder": "x"}
     )
     assert options.start_at == datetime(2026, 10, 30, 18, tzinfo=UTC)
     assert options.more == {"has_feedback": False}
-    assert folder.name == "x"
 
 
 def test_timecode_starts_its_shows_also_in_their_middle(planned):

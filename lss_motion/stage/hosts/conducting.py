@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from lss_motion.playing.player.show_clock import Leg
+    from lss_motion.robot.model import Robot
     from lss_motion.robot.on_fault import Cause
     from lss_motion.stage.hosts.host import Host
     from lss_motion.stage.hosts.messages import Ask, Cast
@@ -63,6 +64,7 @@ class ConductedStage:
         host: Host,
         write: Callable[[Record], None],
         *,
+        robot: Robot | None = None,
         timecode: StageTimecode | None = None,
         waits_for_go: bool = False,
         start_at: datetime | None = None,
@@ -71,7 +73,8 @@ class ConductedStage:
         wall: Callable[[], datetime] = lambda: datetime.now(tz=UTC),
     ) -> None:
         self.stage, self.conductor = stage, host.conducts
-        self.timecode = timecode
+        self.robot, self.timecode = robot, timecode
+        """`robot` is that of the conductor's own figure, if newer files may come."""
         self.now_ns = 0
         self._host, self._wall = host, wall
         self._offers = dict(offers)
@@ -82,7 +85,7 @@ class ConductedStage:
             waits_for_go=waits_for_go,
             start_at=start_at,
         )
-        self.records = Records(stage, wall, write)
+        self._records = Records(stage, wall, write)
         self._order: orders.PlayOrder | None = None
         """The show that plays, or is about to."""
         self._plays_first = plays_first
@@ -100,7 +103,7 @@ class ConductedStage:
                 try:
                     signal = signal_of(ask.operation, self.stage)
                 except InputError as refused:
-                    self.records.note("note", f"{figure}: {refused.reason}")
+                    self.record("note", f"{figure}: {refused.reason}")
                     return
                 source = f"{figure}: {signal.source}" if signal.source else figure
                 self.director.signal(replace(signal, source=source), self.now_ns)
@@ -127,7 +130,7 @@ class ConductedStage:
 
     def connected(self, text: str, now_ns: int) -> None:
         """Let the director begin."""
-        self.records.note("connected", text)
+        self.record("connected", text)
         self.director.connected(now_ns)
         if self._plays_first:
             self._plays_first = False
@@ -148,7 +151,7 @@ class ConductedStage:
     def faulted(self, cause: Cause, text: str, now_ns: int) -> None:
         """Take that a show ended since figures do not play."""
         self._order = None
-        self.records.note("fault", text)
+        self.record("fault", text)
         self.director.faulted(cause, text, now_ns)
 
     # ---- each turn
@@ -160,11 +163,11 @@ class ConductedStage:
         if self.timecode is not None:
             self.timecode.turn(director, now_ns)
             for text in self.timecode.take_texts():
-                self.records.note("timecode", text)
+                self.record("timecode", text)
             self._follow_timecode(self.timecode)
         if now_ns >= director.next_wakeup_ns():
             director.tick(now_ns, self._wall())
-            self.records.note_counts(now_ns)
+            self._records.note_counts(now_ns)
         while (order := director.next_order()) is not None:
             match order:
                 case orders.PlayOrder():
@@ -174,7 +177,7 @@ class ConductedStage:
                 case orders.ConnectOrder():
                     self.conductor.connect(now_ns)
                 case _:
-                    self.records.note_order(order, now_ns)
+                    self._records.note_order(order, now_ns)
 
     def _play(self, order: orders.PlayOrder) -> None:
         """Let the conductor play a show instead of the present one."""
@@ -206,8 +209,12 @@ class ConductedStage:
         self.stage, self._offers = stage, dict(offers)
         self._offer()
         self.director.renew(stage, infos_of(offers), changed)
-        self.records.renew(stage)
+        self._records.renew(stage)
         return renewed(changed)
+
+    def record(self, kind: str, text: str) -> None:
+        """Keep what happened, with the time of day."""
+        self._records.note(kind, text)
 
     def _offer(self) -> None:
         """Let figures fetch and verify every show before it is wanted."""
@@ -217,12 +224,12 @@ class ConductedStage:
                 self._host.keep(show.contents.values())
             self._host.offer([one.cast for one in shows])
         except OSError as error:
-            self.records.note("network", f"the plans cannot be offered yet: {error}")
+            self.record("network", f"the plans cannot be offered yet: {error}")
 
     def note_counts(self) -> None:
         """Keep what was counted since the last time."""
-        self.records.note_waiting(self.director, self.now_ns)
-        self.records.note_counts(self.now_ns, is_last=True)
+        self._records.note_waiting(self.director, self.now_ns)
+        self._records.note_counts(self.now_ns, is_last=True)
 
     # ---- the timecode
 
@@ -255,7 +262,7 @@ class ConductedStage:
                 is_left = not -early_s <= at_s <= duration_s + JUMP_S
                 is_left = is_left and leader.rate >= RUNNING_RATE
             if is_left:
-                self.records.note("timecode", "timecode: it has left the show")
+                self.record("timecode", "timecode: it has left the show")
                 director.leave(order.number, self.now_ns)
 
     # ---- for operators
@@ -266,7 +273,7 @@ class ConductedStage:
             "state": state_word(self.director, "connecting"),
             "timecode": None if self.timecode is None else self.timecode.state_of(self.now_ns),
             "hosts": tuple(self._host_info(one) for one in self.conductor.figures.values()),
-            **self.records.state_of(self.director, self.now_ns),
+            **self._records.state_of(self.director, self.now_ns),
         }
 
     def _host_info(self, figure: RemoteFigure) -> Record:

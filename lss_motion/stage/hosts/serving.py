@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import pickle
 import queue
 import signal
 import sys
@@ -23,23 +22,22 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import Struct, field
+from msgspec import field
 from msgspec.structs import replace
 
-from lss_motion.errors import EXIT_FINISHED, InputError, LssMotionError
+from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.job import Outcome
-from lss_motion.playing.remote.player_end import LossRule
 from lss_motion.stage.hosts.conducting import ConductedStage, Offer
 from lss_motion.stage.hosts.host import Host
 from lss_motion.stage.hosts.peer import PORT, NetworkSettings, check_settings
 from lss_motion.stage.hosts.plans import SEPARATOR, PlanStore, planned_stage
 from lss_motion.stage.hosts.player_link import PlayerLink
-from lss_motion.stage.job import StageSteering
-from lss_motion.stage.log import StageLog, must_restart
+from lss_motion.stage.job import DirectedJob, StageSteering
+from lss_motion.stage.log import must_restart
 from lss_motion.stage.model import TriggerKind
-from lss_motion.stage.stage_timecode import OwnSource, StageTimecode, spec_of
+from lss_motion.stage.stage_timecode import StageTimecode
 from lss_motion.system.messages import Kind
 
 if TYPE_CHECKING:
@@ -385,11 +383,11 @@ def conductor_job(
     )
 
 
-class ConductorJob(Struct, frozen=True, kw_only=True):
+class ConductorJob(DirectedJob, frozen=True, kw_only=True):
     """A planned stage with figures, for the computer of its conductor.
 
-    `options`: `waits_for_go`, `start_at`, `is_real_time`, `may_run`, `seed`, `log_folder`, `goes`
-    (play the first show when all are there), `trusts_network`, `plans`.
+    `options`: `waits_for_go`, `start_at`, `is_real_time`, `may_run`, `seed`, `goes` (play the first
+    show when all are there), `trusts_network`, `plans`.
     """
 
     stage: Stage
@@ -399,27 +397,23 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
     """Before the names of its joints on the pages, where a show has the joints of all."""
     hashes: Mapping[str, str] = field(default_factory=dict)
     """Of the program of the own figure, by show."""
-    rule: LossRule = field(default_factory=LossRule)
-    options: dict[str, Any] = field(default_factory=dict)
 
-    def run(self, operator: Operator) -> Outcome:
-        """Conduct until the operator stops it; send the first and the last event."""
-        steering = ConductorSteering(operator, self)
-        try:
-            self._run(operator, steering)
-            error: LssMotionError | None = None
-        except LssMotionError as refused:
-            error = refused
-        outcome = Outcome(None, error)
-        steering.note_log(is_last=True)
-        steering.end(outcome.message)
-        return outcome
+    @property
+    def plans(self) -> dict[str, bytes]:
+        return {show: bytes.fromhex(plan) for show, plan in self.hashes.items()}
 
-    def _run(self, operator: Operator, steering: ConductorSteering) -> None:
-        options, given = self.options, self.stage.sync.timecode
-        rule = self.stage.log
-        if options.get("log_folder") is not None:
-            rule = replace(rule, folder=Path(options["log_folder"]))
+    def renew(self, run: ConductedStage, player: Player | None) -> tuple[str, str]:  # noqa: ARG002
+        if self.robot != run.robot:
+            return must_restart("another robot")
+        return run.renew(self.stage, self.offers)
+
+    def _steering(self, operator: Operator) -> ConductorSteering:
+        return ConductorSteering(operator, self)
+
+    def _play(self, steering: StageSteering, stack: contextlib.ExitStack) -> Outcome:
+        options, given, operator = self.options, self.stage.sync.timecode, steering.operator
+        assert isinstance(steering, ConductorSteering)
+        log, legs = self._open(self.stage, steering, stack)
         start_at = options.get("start_at")
 
         def pass_on(kind: Kind, content: bytes) -> None:
@@ -428,51 +422,45 @@ class ConductorJob(Struct, frozen=True, kw_only=True):
             elif kind is Kind.EVENT:
                 steering.pass_on(m.parse_event(content))
 
-        with contextlib.ExitStack() as stack:
-            files = steering.kept = stack.enter_context(StageLog(rule))
+        def write(record: Record) -> None:
+            log.write(record)
+            steering.note(record)
 
-            def write(record: Record) -> None:
-                files.write(record)
-                steering.note(record)
+        host = host_for(
+            self.stage,
+            self.stage.conductor or "",
+            self.robot,
+            trust_network=bool(options.get("trusts_network")),
+            folder=None if options.get("plans") is None else Path(options["plans"]),
+            log=steering.log,
+            pass_on=pass_on,
+            new_stop_end=operator.new_stop_end,
+            is_real_time=bool(options.get("is_real_time")),
+            may_run=bool(options.get("may_run")),
+        )
+        stack.callback(host.close)
+        run = steering.conducted = ConductedStage(
+            self.stage,
+            self.offers,
+            host,
+            write,
+            robot=self.robot,
+            timecode=None if given is None else StageTimecode(given, legs),
+            waits_for_go=bool(options.get("waits_for_go")),
+            start_at=None if start_at is None else datetime.fromisoformat(start_at),
+            seed=options.get("seed"),
+            plays_first=bool(options.get("goes")),
+        )
+        joints = (self.prefix + name for name in self.robot.joints)
+        steering.begin(run, self.robot, joints, self.plans)
+        run.record("begins", "the stage begins")
 
-            legs = None if given is None else stack.enter_context(OwnSource(spec_of(given)))
-            host = host_for(
-                self.stage,
-                self.stage.conductor or "",
-                self.robot,
-                trust_network=bool(options.get("trusts_network")),
-                folder=None if options.get("plans") is None else Path(options["plans"]),
-                log=steering.log,
-                pass_on=pass_on,
-                new_stop_end=operator.new_stop_end,
-                is_real_time=bool(options.get("is_real_time")),
-                may_run=bool(options.get("may_run")),
-            )
-            stack.callback(host.close)
-            run = ConductedStage(
-                self.stage,
-                self.offers,
-                host,
-                write,
-                timecode=None if given is None else StageTimecode(given, legs),
-                waits_for_go=bool(options.get("waits_for_go")),
-                start_at=None if start_at is None else datetime.fromisoformat(start_at),
-                seed=options.get("seed"),
-                plays_first=bool(options.get("goes")),
-            )
-            steering.begin_conducting(run)
-            run.records.note("begins", "the stage begins")
+        def act(now_ns: int) -> bool:
+            steering.act(None, now_ns)
+            return steering.has_stopped
 
-            def act(now_ns: int) -> bool:
-                steering.act(None, now_ns)
-                return steering.has_stopped
-
-            conduct(host, run, act)
-
-
-def plans_of(hashes: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the names of plans as bytes, by show."""
-    return {show: bytes.fromhex(plan) for show, plan in hashes.items()}
+        conduct(host, run, act)
+        return Outcome(None, None)
 
 
 class ConductorSteering(StageSteering):
@@ -481,15 +469,7 @@ class ConductorSteering(StageSteering):
     def __init__(self, operator: Operator, job: ConductorJob) -> None:
         super().__init__(operator, job.rule)
         self._job = job
-        self._conducting: ConductedStage | None = None
-
-    def begin_conducting(self, run: ConductedStage) -> None:
-        """Send the first event."""
-        self._run, self._conducting = run, run
-        self.plans = plans_of(self._job.hashes)
-        robot = self._job.robot
-        joints = (self._job.prefix + name for name in robot.joints)
-        self.start_many(run.stage.name, robot, joints)
+        self.conducted: ConductedStage | None = None
 
     def pass_on(self, event: m.AnyEvent) -> None:
         """Let operators see what the player of the own figure does."""
@@ -505,25 +485,13 @@ class ConductorSteering(StageSteering):
 
     def log(self, text: str) -> None:
         """Keep a line of the host, for the log and the pages."""
-        if self._conducting is not None:
-            self._conducting.records.note("network", text)
-
-    def _renew(self, job: bytes, player: Player | None) -> None:  # noqa: ARG002
-        """Go on with newer files, or note why the stage must begin anew for them."""
-        assert self._conducting is not None
-        newer: ConductorJob = pickle.loads(job)  # noqa: S301  (from the server that started this)
-        if newer.robot != self._job.robot:
-            kind, text = must_restart("another robot")
-        else:
-            kind, text = self._conducting.renew(newer.stage, newer.offers)
-        self._conducting.records.note(kind, text)
-        if kind == "renewed":
-            self.plans = plans_of(newer.hashes)
+        if self.conducted is not None:
+            self.conducted.record("network", text)
 
     def _direct(self, operation: m.AnyOperation) -> bool:
-        assert self._conducting is not None
-        is_done = self._conducting.obey(operation)
+        assert self.conducted is not None
+        is_done = self.conducted.obey(operation)
         if isinstance(operation, m.Pause | m.Resume | m.Rate):
-            legs = self._conducting.conductor.legs
+            legs = self.conducted.conductor.legs
             self.operator.send(m.RateChanged(ratio=legs.speed, is_paused=legs.is_paused))
         return is_done

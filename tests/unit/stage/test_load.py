@@ -69,7 +69,7 @@ def test_every_value_of_a_stage_is_read(kit):
     assert stage.retry.attempts[Cause.RESTARTED] == 3
     assert stage.log.folder == kit.folder / "nights"
     assert str(stage.zone) == "Europe/Berlin"
-    assert stage.sensors == ("door",)
+    assert stage.addresses(TriggerKind.SENSOR) == ("door",)
 
 
 BAD = [
