@@ -16,8 +16,7 @@ import pytest
 from benches import libltc, sound_recorder
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
-from lss_motion.stage.timecode.messages import FPP_PORT
-from lss_motion.stage.timecode.timecode import FPS_25, timecode_of
+from lss_motion.stage.timecode.timecode import FPP_PORT, FPS_25, timecode_of
 from tests.pty.test_serve import halls, until
 from tests.pty.test_timecode import DESK, PLAYER, jack_ports, other_program
 

@@ -15,9 +15,16 @@ import pytest
 
 from benches import libltc, sound_recorder
 from lss_motion.errors import InputError
-from lss_motion.stage.timecode.messages import ARTNET_PORT, read_artnet, read_fpp
+from lss_motion.stage.timecode.messages import read_artnet, read_fpp
 from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
-from lss_motion.stage.timecode.timecode import FPS_25, Timecode, read_follow, read_send, timecode_of
+from lss_motion.stage.timecode.timecode import (
+    ARTNET_PORT,
+    FPS_25,
+    Timecode,
+    read_follow,
+    read_send,
+    timecode_of,
+)
 
 pytestmark = pytest.mark.realtime
 WAIT_S = 30.0
