@@ -60,7 +60,7 @@ def main(names: list[str]) -> int:
 def take(page: Page, url: str, chosen: Picture, path: Path) -> None:
     """Play the show, go to a page, and take its picture at an instant."""
     page.go(url)
-    page.wait("document.querySelector('.joints tbody tr')")
+    page.wait("document.querySelector('.joints')")
     page.wait("document.querySelector('.head')")
     if page.run("document.documentElement.dataset.theme") != chosen.theme:
         page.key("t")

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]
 """Rows of a rotation matrix."""
+Shade = Literal["dark", "light"]
+"""How a part is drawn that has not the colour of the figure."""
 
 ORIGIN: Final[Vector] = (0.0, 0.0, 0.0)
 UPRIGHT: Final[Rotation] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -47,16 +49,18 @@ DIRECTIONS: Final[Mapping[str, Vector]] = {
 class Shape(Struct, frozen=True, kw_only=True):
     """A solid in the frame of a link, as in URDF.
 
-    `size_mm`: of a box x, y, z; of a cylinder radius and length (along z); of a sphere its radius.
+    `size_mm`: of a box x, y, z; of a cylinder radius and length (along z); of a sphere its radius;
+    of a ball, which is no solid of URDF, its half axes along x, y and z.
     A mesh is a file, `path` relative to the folder of the robot file, and `size_mm` is one unit of
     it along x, y and z.
     """
 
-    kind: Literal["box", "cylinder", "sphere", "mesh"]
+    kind: Literal["box", "cylinder", "sphere", "ball", "mesh"]
     size_mm: tuple[float, ...]
     origin_mm: Vector = ORIGIN
     rotation: Rotation = UPRIGHT
     path: str | None = None
+    shade: Shade | None = None
 
 
 class FigureLink(Struct, frozen=True, kw_only=True):
@@ -76,6 +80,7 @@ class FigureLink(Struct, frozen=True, kw_only=True):
     rotation: Rotation = UPRIGHT
     lines_mm: tuple[tuple[Vector, ...], ...] = ()
     width_mm: float | None = None
+    shade: Shade | None = None
     shapes: tuple[Shape, ...] = ()
 
 
@@ -121,13 +126,15 @@ class Figure(Struct, frozen=True, kw_only=True):
 
     @property
     def reach_mm(self) -> float:
-        """No point of a line is further than this from the root, whatever the joints do."""
+        """No point of a line or ball is further than this from the root, whatever joints do."""
         start_mm: list[float] = []
         reach = 0.0
         for link in self.links:
             parent = start_mm[link.parent] if link.parent >= 0 else 0.0
             start_mm.append(parent + math.hypot(*link.origin_mm))
             ends = [math.hypot(*point) for line in link.lines_mm for point in line]
+            balls = (shape for shape in link.shapes if shape.kind == "ball")
+            ends += [math.hypot(*ball.origin_mm) + max(ball.size_mm) for ball in balls]
             reach = max(reach, start_mm[-1] + max(ends, default=0.0))
         return reach
 
@@ -148,6 +155,7 @@ class Figure(Struct, frozen=True, kw_only=True):
                     "rotation": _flat(link.rotation),
                     "lines_mm": [[list(point) for point in line] for line in link.lines_mm],
                     "width_mm": link.width_mm or reach / SLENDERNESS_RATIO,
+                    "shade": link.shade,
                     "shapes": [
                         {
                             "kind": shape.kind,
@@ -155,6 +163,7 @@ class Figure(Struct, frozen=True, kw_only=True):
                             "origin_mm": list(shape.origin_mm),
                             "rotation": _flat(shape.rotation),
                             "path": shape.path,
+                            "shade": shape.shade,
                         }
                         for shape in link.shapes
                     ],

@@ -499,6 +499,7 @@ FIGURE_MAX_MM: Final = 100_000.0
 FIGURE_LINKS_MAX: Final = 500
 """Chosen: ten times the links of the largest figure that is known to be driven by such servos."""
 FigureMm = Annotated[float, Field(ge=-FIGURE_MAX_MM, le=FIGURE_MAX_MM)]
+FigureSizeMm = Annotated[float, Field(gt=0.0, le=FIGURE_MAX_MM)]
 
 
 class FigureLinkEntry(FileModel, title="link of a figure"):
@@ -541,6 +542,16 @@ class FigureLinkEntry(FileModel, title="link of a figure"):
         gt=0.0,
         le=FIGURE_MAX_MM,
         description="How thick it is drawn. Default: a thirtieth of the whole figure.",
+    )
+    ball_mm: Annotated[list[FigureSizeMm], Field(min_length=3, max_length=3)] | None = Field(
+        default=None,
+        description="A ball in place of the bar, in the middle of it: its diameters along x, y and "
+        "z, such as those of a head.",
+        examples=[[80, 70, 90]],
+    )
+    shade: Literal["dark", "light"] | None = Field(
+        default=None,
+        description="Drawn dark or light, as an eye. Left out: in the colour of the figure.",
     )
     foot: bool = Field(
         default=False,

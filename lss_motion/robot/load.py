@@ -23,7 +23,7 @@ from lss_motion.protocol.framing import DISABLED
 from lss_motion.protocol.io2 import rc_zero_deg
 from lss_motion.protocol.lss import LSS_FIRMWARE
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, Units
-from lss_motion.robot.figure import ORIGIN, Figure, FigureLink, unit_vector
+from lss_motion.robot.figure import ORIGIN, Figure, FigureLink, Shape, unit_vector
 from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor, UrdfSource
 from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from lss_motion.files.yaml_source import YamlSource
-    from lss_motion.robot.figure import Vector
+    from lss_motion.robot.figure import Shade, Vector
     from lss_motion.robot.file import (
         FigureLinkEntry,
         JointDefaults,
@@ -591,11 +591,21 @@ def figure_from(
                     start[1] + entry.offset_mm[1],
                     start[2] + entry.offset_mm[2],
                 ),
-                lines_mm=((ORIGIN, end),) if entry.length_mm > 0.0 else (),
+                lines_mm=((ORIGIN, end),) if entry.length_mm and not entry.ball_mm else (),
                 width_mm=entry.width_mm,
+                shade=entry.shade,
+                shapes=() if entry.ball_mm is None else (_ball(entry.ball_mm, end, entry.shade),),
             )
         )
     return Figure(source="figure", links=tuple(links), feet=tuple(feet)), []
+
+
+def _ball(ball_mm: Sequence[float], end: Vector, shade: Shade | None) -> Shape:
+    """Return a ball in the middle of a link that ends there."""
+    x, y, z = ball_mm
+    middle = (end[0] / 2.0, end[1] / 2.0, end[2] / 2.0)
+    half_axes = (x / 2.0, y / 2.0, z / 2.0)
+    return Shape(kind="ball", size_mm=half_axes, origin_mm=middle, shade=shade)
 
 
 def figure_problems(

@@ -85,7 +85,7 @@ class Director:
         self.armed: str | None = None
         self._bags = Bags(random)
         self._triggers = Triggers(stage.cues)
-        self._cron = CronClock(stage.addresses(TriggerKind.TIME), stage.zone)
+        self.cron = CronClock(stage.addresses(TriggerKind.TIME), stage.zone)
         given = stage.sync.timecode
         freewheel_s = FREEWHEEL_S if given is None else given.freewheel_s
         self.timecode = TimecodeCues(stage.cues, self._durations_s(), freewheel_s)
@@ -121,7 +121,7 @@ class Director:
         self.duty.renew(stage)
         self._bags.forget()
         self._triggers.cues = stage.cues
-        self._cron.watch(stage.addresses(TriggerKind.TIME), stage.zone)
+        self.cron.watch(stage.addresses(TriggerKind.TIME), stage.zone)
         self.timecode.renew(stage.cues, self._durations_s())
         is_same = self.main is None or (self.main.show == stage.idle and stage.idle not in changed)
         if not is_same and not self._rests:
@@ -152,9 +152,9 @@ class Director:
         """Do what is due."""
         self._now_ns = self._ticked_ns = now_ns
         is_moving = bool(self.added) or (self.main is not None and not self.main.is_ready)
-        self.duty.tick(now_ns, wall, self._cron.local(wall), is_moving=is_moving)
+        self.duty.tick(now_ns, wall, self.cron.local(wall), is_moving=is_moving)
         self._note_rest()
-        expressions, text = self._cron.due(wall)
+        expressions, text = self.cron.due(wall)
         if text:
             self._orders.append(orders.Remark(text))
         for expression in expressions:

@@ -11,7 +11,7 @@ from collections import deque
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.stage.triggering import is_within
+from lss_motion.stage.triggering import end_of_span
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -104,10 +104,11 @@ class Duty:
         if self.start_at is not None and wall >= self.start_at:
             self.start_at = None
             self.end(Reason.START_AT)
-        if is_within(local.time(), self._rule.quiet):
-            self.begin(Reason.QUIET)
-        else:
+        end = end_of_span(local.time(), self._rule.quiet)
+        if end is None:
             self.end(Reason.QUIET)
+        else:
+            self.begin(Reason.QUIET, f"(until {end:%H:%M})")
         work_s = self._rule.work_s
         if work_s is not None and s_from_ns(self._worked_ns) >= work_s:
             self._worked_ns = 0

@@ -428,6 +428,7 @@ class Records:
                 {
                     "name": cue.name,
                     "on": cue.on.text,
+                    "when": director.cron.when(cue.on, self._stage.duty.quiet),
                     "plays": ", ".join(cue.shows) or cue.deed or "",
                     "is_enabled": director.enabled[cue.name],
                     "fired": about.fired,

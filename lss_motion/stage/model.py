@@ -69,6 +69,26 @@ class CueTrigger(Struct, frozen=True, kw_only=True):
         return value < self.threshold if self.side == "below" else value > self.threshold
 
     @property
+    def words(self) -> str:
+        """When it fires, as an operator says it."""
+        match self.kind:
+            case TriggerKind.SENSOR:
+                side = "nearer" if self.side == "below" else "farther"
+                return f"when {self.address} sees something {side} than {self.threshold:g} mm"
+            case TriggerKind.KEY:
+                return f"key {self.address}"
+            case TriggerKind.GO:
+                return "on GO"
+            case TriggerKind.START:
+                return "when the stage begins"
+            case TriggerKind.END_OF:
+                return f"after {self.address}"
+            case TriggerKind.CUE:
+                return "by hand"
+            case _:
+                return self.text
+
+    @property
     def text(self) -> str:
         """The trigger in a few words, for people."""
         side = "" if self.side is None else f" {self.side} {self.threshold:g}"

@@ -26,10 +26,10 @@ from lss_motion.stage.model import TriggerKind
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from random import Random
 
-    from lss_motion.stage.model import Signal, StageCue
+    from lss_motion.stage.model import CueTrigger, Signal, StageCue
 
 SENSOR_TIMES: Final = 2
 """So many readings in a row: a reply has no checksum, and one flipped bit must not start a show
@@ -268,6 +268,9 @@ LATE: Final = timedelta(minutes=5)
 
 FIELDS: Final = 5
 
+AHEAD: Final = 1500
+"""A day of an expression that is due every minute, and an hour."""
+
 
 def cron_problem(text: str) -> str:
     """Return why a cron expression cannot be used; empty if it can.
@@ -300,11 +303,15 @@ def clock_time(text: str) -> time | None:
         return None
 
 
-def is_within(now: time, spans: Iterable[tuple[time, time]]) -> bool:
-    """Return whether a time of day is in one of the spans, which may go through midnight."""
-    return any(
-        begin <= now < end if begin <= end else now >= begin or now < end for begin, end in spans
-    )
+def end_of_span(now: time, spans: Iterable[tuple[time, time]]) -> time | None:
+    """Return the end of the span in which a time of day is; None: it is in none.
+
+    Spans may go through midnight. Of several the one that is named first counts.
+    """
+    for begin, end in spans:
+        if begin <= now < end if begin <= end else now >= begin or now < end:
+            return end
+    return None
 
 
 class CronClock:
@@ -321,6 +328,8 @@ class CronClock:
     def watch(self, expressions: Iterable[str], zone: tzinfo | None) -> None:
         """Go on with other expressions."""
         self._expressions = tuple(dict.fromkeys(expressions))
+        self._coming: dict[str, tuple[datetime | None, str]] = {}
+        """By expression: what was said of its next time, and in which minute."""
         self._zone = zone
 
     def due(self, wall: datetime) -> tuple[list[str], str]:
@@ -344,6 +353,37 @@ class CronClock:
         for passed in self._minutes(minute):
             found |= dict.fromkeys(self._due_at(passed))
         return list(found), text
+
+    def coming(self, expression: str, spans: Sequence[tuple[time, time]]) -> datetime | None:
+        """Return the next local time of an expression that is in none of the spans.
+
+        None: within `AHEAD` times there is none, or the time of day is not known yet.
+        """
+        if self._until is None:
+            return None
+        after = self._local(self._until)
+        for _ in range(AHEAD):
+            after = _next(expression, after)
+            if after == datetime.max:  # noqa: DTZ901  local times
+                return None
+            if end_of_span(after.time(), spans) is None:
+                return after
+        return None
+
+    def when(self, on: CueTrigger, spans: Sequence[tuple[time, time]]) -> str:
+        """Return when a trigger fires next, as an operator says it; at no time in the spans."""
+        if on.kind is not TriggerKind.TIME:
+            return on.words
+        expression = on.address
+        known, text = self._coming.get(expression, (None, ""))
+        if known is None or known != self._until:
+            found = self.coming(expression, spans)
+            text = f"at {expression}, not soon"
+            if found is not None and self._until is not None:
+                is_near = found - self._local(self._until) < timedelta(days=1)
+                text = f"next {found:%H:%M}" if is_near else f"next {found:%Y-%m-%d %H:%M}"
+            self._coming[expression] = (self._until, text)
+        return text
 
     def local(self, wall: datetime) -> datetime:
         """Return the time of day of `wall`, without a zone."""

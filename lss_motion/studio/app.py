@@ -19,6 +19,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocketDisconnect
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import read_data
 from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie
 from lss_motion.studio.client import Allowance, Client
 from lss_motion.studio.web import json_body
@@ -63,6 +64,7 @@ def make_app(studio: Studio, more: Sequence[BaseRoute] = ()) -> Starlette:
         Route("/robot.json", _robot),
         Route("/view/{plan}.json", _view),
         Route("/files/{path:path}", _file),
+        Route("/text/{path:path}", _text),
         Route("/stop", _stop, methods=["POST"]),
         Route("/estop", _stop, methods=["POST"]),
         WebSocketRoute("/ws", _socket),
@@ -192,6 +194,18 @@ async def _file(request: Request) -> Response:
         if kind is not None and path.is_file() and path.stat().st_size <= FILE_MAX_BYTES:
             return FileResponse(path, media_type=kind)
     return JSONResponse({"error": "no file of a figure"}, 404)
+
+
+async def _text(request: Request) -> Response:
+    """Return the text of one of the files that the show is made of, to who may operate."""
+    role: Role = request.scope["role"]
+    document = _studio(request).document
+    path = document.inside(request.path_params["path"])
+    if role < Role.OPERATE:
+        return JSONResponse({"error": "this needs the role operate; you may look"}, 403)
+    if path.suffix.lower() not in (".yaml", ".yml") or not document.is_made_of(path):
+        return JSONResponse({"error": "no file of this show"}, 404)
+    return Response(read_data(path), media_type="text/plain; charset=utf-8")
 
 
 async def _socket(websocket: WebSocket) -> None:

@@ -72,9 +72,7 @@ class Desk:
         self._next: Callable[[], None] | None = None
         """What begins when the process has ended; a stop forgets it."""
         self._on_free: Callable[[], None] | None = None
-        self._state = m.PlayerChanged(
-            state="idle", is_latched=False, plan=None, show_s=None, text=""
-        )
+        self._state = m.PlayerChanged(state="idle", latch=None, plan=None, show_s=None, text="")
         self._robot = (
             m.RobotChanged(state="off", port="", is_simulated=False, joints={}, text="")
             .to_json()
@@ -122,12 +120,9 @@ class Desk:
         if self._noted is None:
             self._change(text="")
             return
-        word = "emergency stop" if self._noted == "estop" else "stop"
-        text = f"{word}: nothing moves before it is armed again"
         self._next = None
         is_show = self._player is not None and self._task == "show"
-        state = "stopping" if is_show else self._state.state
-        self._change(state=state, text=text)
+        self._change(state="stopping" if is_show else self._state.state)
 
     def obey(self, operation: m.AnyOperation, key: int) -> bool:
         """Carry an operation out; see `hub.Desk`."""
@@ -407,9 +402,7 @@ class Desk:
         self._player = None
         begin, self._next = self._next, None
         if self._task == "show":
-            # A stop that is kept goes on saying what it was, and that it is kept.
-            usual = self._state.text if self.is_latched else self._outcome
-            self._change(**{**self._end_state, "text": self._end_state["text"] or usual})
+            self._change(**{**self._end_state, "text": self._end_state["text"] or self._outcome})
         self._tell_robot("off", self._end_text)
         if begin is not None:
             begin()
@@ -421,7 +414,7 @@ class Desk:
     # ---- state
 
     def _change(self, **fields: object) -> None:
-        changed = replace(self._state, **{"is_latched": self.is_latched, **fields})
+        changed = replace(self._state, **{"latch": self._stops.latch, **fields})
         if changed != self._state:
             self._state = changed
             self._hub.broadcast(changed)

@@ -129,6 +129,10 @@ class Document:
         if any(_stamp(path) != stamp for path, stamp in self._stamps.items()):
             self._plan()
 
+    def is_made_of(self, path: Path) -> bool:
+        """Return whether a file, by its full path, is one of those that were planned."""
+        return path in {one.resolve() for one in self._stamps}
+
     def message(self) -> m.DocumentChanged:
         """Return the state as an event."""
         newest = self._newest
@@ -145,6 +149,7 @@ class Document:
             notes=newest.notes,
             plan=self.plan,
             is_current=self._is_current,
+            has_planner=newest.has_planner,
             summary=() if self.good is None else self.good.summary,
             robot=self.robot_revision,
         )

@@ -77,6 +77,8 @@ class Reply(Struct, frozen=True, kw_only=True):
     """Of the content of the robot file, when it was loaded."""
     port: str = ""
     is_simulated: bool = False
+    has_planner: bool = True
+    """Whether the planner lived until it had answered."""
     files: tuple[Path, ...] = ()
     """All files that the result depends on."""
     stage: Stage | None = None

@@ -93,7 +93,14 @@ class Planner:
             return
         request, self._wanted = self._wanted, None
         problem = (str(request.path), None, DIED)
-        self._on_reply(Reply(number=request.number, problems=(problem,), files=(request.path,)))
+        self._on_reply(
+            Reply(
+                number=request.number,
+                problems=(problem,),
+                has_planner=False,
+                files=(request.path,),
+            )
+        )
 
     def _lose_patience(self) -> None:
         """Start another planner if this one still works on what is not wanted."""

@@ -8,10 +8,11 @@ little-endian arrays (`view_curves.packed`).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.shows import Show
     from lss_motion.planning.trajectory.model import Mark, Pass, Trajectory
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.show.model import Cue, Keyframe, Sequence
+    from lss_motion.show.model import Cue, Keyframe, Layer, Sequence
 
     FloatArray = NDArray[np.float64]
     PeaksOf = Callable[[Path], "Peaks"]
@@ -211,13 +212,22 @@ class Window:
 # ---------------------------------------------------------------------------- lanes
 
 
+class LaneOf(NamedTuple):
+    """What a lane holds. Keys of one that is `added` are added to the angles of the others."""
+
+    kind: str
+    name: str
+    path: Path | None
+    is_added: bool = False
+
+
 def lanes_of(sequence: Sequence, trajectory: Trajectory, window: Window) -> list[dict[str, Any]]:
     """Return a lane for the keyframes of the show, of each track, layer and part of a play list."""
-    lanes: dict[tuple[str, str], list[tuple[Keyframe, Mark, float]]] = {}
-    for kind, name, keyed in _keyed(sequence, trajectory, window.show_end_s):
-        lanes.setdefault((kind, name), []).extend(keyed)
+    lanes: dict[LaneOf, list[tuple[Keyframe, Mark, float]]] = {}
+    for lane, keyed in _keyed(sequence, trajectory, window.show_end_s):
+        lanes.setdefault(lane, []).extend(keyed)
     made = []
-    for (kind, name), keyed in lanes.items():
+    for lane, keyed in lanes.items():
         # The instant at which a repeated part ends is in the show twice, and in the view once.
         different = {
             (round(key["at_s"], 6), id(frame), *key["deg"]): key
@@ -227,8 +237,26 @@ def lanes_of(sequence: Sequence, trajectory: Trajectory, window: Window) -> list
         }
         keys = sorted(different.values(), key=lambda key: float(key["at_s"]))
         joints = dict.fromkeys(joint for key in keys for joint in key["deg"])
-        made.append({"name": name, "kind": kind, "joints": list(joints), "keys": keys})
+        made.append(
+            {
+                "name": lane.name,
+                "kind": lane.kind,
+                "file": _file_of(lane.path or sequence.path, sequence.path),
+                "is_added": lane.is_added,
+                "joints": list(joints),
+                "keys": keys,
+            }
+        )
     return made
+
+
+def _file_of(path: Path | None, show: Path | None) -> str:
+    """Return a file as the show names it: from its own folder, if it is there."""
+    if path is None or show is None:
+        return ""
+    folder = show.resolve().parent
+    full = path.resolve()
+    return str(full.relative_to(folder) if full.is_relative_to(folder) else path)
 
 
 def _keys(frame: Keyframe, mark: Mark, start_s: float, window: Window) -> Iterator[dict[str, Any]]:
@@ -253,8 +281,8 @@ def _keys(frame: Keyframe, mark: Mark, start_s: float, window: Window) -> Iterat
 
 def _keyed(
     sequence: Sequence, trajectory: Trajectory, end_s: float
-) -> Iterator[tuple[str, str, list[tuple[Keyframe, Mark, float]]]]:
-    """Yield kind and name of a lane with its keyframes: each with its mark and what is added.
+) -> Iterator[tuple[LaneOf, list[tuple[Keyframe, Mark, float]]]]:
+    """Yield a lane with its keyframes: each with its mark and what is added.
 
     Keyframes and marks of one track are in the same order; those below layers are found by label
     and authored time, since the marks of a sum are mixed.
@@ -267,9 +295,11 @@ def _keyed(
         own = [replace(sequence, tracks=())] if sequence.keyframes else []
         parts = trajectory.first.parts
         for track, part in zip([*own, *sequence.tracks], parts, strict=True):
-            yield "track", track.name, _in_passes(track.keyframes, part, end_s)
+            lane = LaneOf("track", track.name, track.path)
+            yield lane, _in_passes(track.keyframes, part, end_s)
     else:
-        yield "track", sequence.name, _in_passes(sequence.keyframes, trajectory, end_s)
+        lane = LaneOf("track", sequence.name, sequence.path)
+        yield lane, _in_passes(sequence.keyframes, trajectory, end_s)
 
 
 def _in_passes(
@@ -289,7 +319,7 @@ def _in_passes(
 
 def _played_keys(
     sequence: Sequence, trajectory: Trajectory, end_s: float
-) -> Iterator[tuple[str, str, list[tuple[Keyframe, Mark, float]]]]:
+) -> Iterator[tuple[LaneOf, list[tuple[Keyframe, Mark, float]]]]:
     """Yield the keyframes of the parts of a play list, each where it is played."""
     played = {step.sequence.name: step.sequence for step in sequence.play if step.sequence}
     for pass_s in _pass_starts(trajectory, end_s):
@@ -298,9 +328,10 @@ def _played_keys(
         for part, from_s in zip(whole.parts, whole.starts_s.tolist(), strict=True):
             if (own := played.get(part.name)) is None:
                 continue  # A move between two parts.
-            for _, name, keyed in _keyed(own, part, part.duration_s):
+            for lane, keyed in _keyed(own, part, part.duration_s):
                 start_s = pass_s + from_s
-                yield "part", name, [(frame, mark, at_s + start_s) for frame, mark, at_s in keyed]
+                moved = [(frame, mark, at_s + start_s) for frame, mark, at_s in keyed]
+                yield lane._replace(kind="part"), moved
 
 
 def _pass_starts(trajectory: Trajectory, end_s: float) -> Iterator[float]:
@@ -314,27 +345,67 @@ def _pass_starts(trajectory: Trajectory, end_s: float) -> Iterator[float]:
 
 def _layered_keys(
     sequence: Sequence, trajectory: Trajectory, end_s: float
-) -> Iterator[tuple[str, str, list[tuple[Keyframe, Mark, float]]]]:
-    """Yield the keyframes of a show and of its layers; each takes the nearest mark of its name."""
-    free: dict[tuple[str, bool], list[Mark]] = defaultdict(list)
-    for mark in all_marks(trajectory, end_s):
-        free[mark.label, mark.is_anchor].append(mark)
-    sources = [("track", 0.0, part) for part in _leaves(replace(sequence, layers=()))]
-    sources += [
-        ("layer", layer.from_s, part)
-        for layer in sequence.layers
-        for part in _leaves(layer.sequence)
+) -> Iterator[tuple[LaneOf, list[tuple[Keyframe, Mark, float]]]]:
+    """Yield the keyframes of a show and of its layers, each at the marks of its place in its file.
+
+    Later passes of a layer have no marks: they follow the first by the period of its keyframes.
+    """
+    sources: list[tuple[Layer | None, Sequence]] = [
+        *((None, part) for part in _leaves(replace(sequence, layers=()))),
+        *((layer, part) for layer in sequence.layers for part in _leaves(layer.sequence)),
     ]
-    for kind, from_s, part in sources:
-        keyed = []
+    keyed: list[list[tuple[Keyframe, Mark, float]]] = [[] for _ in sources]
+    free: dict[str, list[tuple[int, Keyframe]]] = defaultdict(list)
+    for number, (_, part) in enumerate(sources):
         for frame in part.keyframes:
-            marks = free[frame.label, frame.is_anchor]
-            at_s = from_s + (frame.at_s or 0.0) / part.speed_ratio
-            near = min(marks, key=lambda mark: abs((mark.authored_s or 0.0) - at_s), default=None)
-            if near is not None and abs((near.authored_s or 0.0) - at_s) < SAME_S:
-                marks.remove(near)
-                keyed.append((frame, near, 0.0))
-        yield kind, part.name, keyed
+            free[_place(part, frame)].append((number, frame))
+    for mark in all_marks(trajectory, end_s):
+        found = free[mark.place]
+        own = next((one for one in found if _is_at(sources[one[0]], one[1], mark)), None)
+        own = own or next((one for one in found if sources[one[0]][0] is None), None)
+        if own is not None:
+            keyed[own[0]].append((own[1], mark, 0.0))
+            # A part that is played again, or mirrored, takes the next one.
+            found.remove(own)
+            found.append(own)
+    for (layer, part), own_keys in zip(sources, keyed, strict=True):
+        if layer is None:
+            yield LaneOf("track", part.name, part.path), own_keys
+            continue
+        lane = LaneOf("layer", part.name, part.path, layer.mode == "add")
+        yield lane, [*own_keys, *_later_passes(layer, part, own_keys, end_s)]
+
+
+def _place(part: Sequence, frame: Keyframe) -> str:
+    """Return the place of a keyframe, as that of its mark."""
+    return "" if part.path is None else f"{part.path.name}:{frame.line}"
+
+
+def _is_at(source: tuple[Layer | None, Sequence], frame: Keyframe, mark: Mark) -> bool:
+    """Return whether a keyframe of a layer was authored for the instant of a mark."""
+    layer, part = source
+    if layer is None or mark.authored_s is None:
+        return False
+    at_s = layer.from_s + (frame.at_s or 0.0) / part.speed_ratio
+    return abs(at_s - mark.authored_s) < SAME_S
+
+
+def _later_passes(
+    layer: Layer, part: Sequence, first: list[tuple[Keyframe, Mark, float]], end_s: float
+) -> Iterator[tuple[Keyframe, Mark, float]]:
+    """Yield the keyframes of a layer in each of its passes after the first, up to its end."""
+    if part is not layer.sequence or part.loop == 1 or len(first) < 2:
+        return
+    period_s = first[-1][1].planned_s + first[-1][1].held_s - first[0][1].planned_s
+    until_s = min(end_s, math.inf if layer.to_s is None else layer.to_s)
+    passes = itertools.count(1) if part.loop is None else range(1, part.loop)
+    for number in passes if period_s > 0.0 else ():
+        if first[0][1].planned_s + number * period_s > until_s:
+            return
+        for frame, mark, _ in first[1:]:
+            later = mark.later(number * period_s)
+            if later.planned_s <= until_s + SAME_S:
+                yield frame, later, 0.0
 
 
 def _leaves(sequence: Sequence) -> Iterator[Sequence]:

@@ -61,7 +61,7 @@ def opened_by(browser, studio, *, size=(1366, 768), has_webgl=False, token=True)
             page.call("Page.addScriptToEvaluateOnNewDocument", source=NO_WEBGL)
         page.go(studio.url if token else f"{studio.origin}/")
         if token:
-            page.wait("document.querySelector('.joints tbody tr')")
+            page.wait("document.querySelector('.joints')")
         yield page
         assert page.errors == []
 

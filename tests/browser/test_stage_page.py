@@ -29,7 +29,8 @@ cues:
   - {cue: second, on: {go: true}, play: scare, start: terminate}
 log: {ring_s: 0}
 """
-WORD = "document.querySelector('.stage-word')?.textContent"
+ON = "document.querySelector('.stage-state dd')?.textContent"
+STATE = "document.querySelector('.state').dataset.state"
 
 
 def test_cues_are_fired_enabled_and_armed_on_the_page_of_a_stage(
@@ -42,7 +43,7 @@ def test_cues_are_fired_enabled_and_armed_on_the_page_of_a_stage(
         (tmp_path / f"{name}.yaml").write_text(text)
     (tmp_path / "hall.yaml").write_text(STAGE)
     with studio(tmp_path / "hall.yaml", command="serve") as own, opened(own) as page:
-        page.wait(f"{WORD} === 'idle'")
+        page.wait(f"{ON} === 'idle'")
         cues = (
             "[...document.querySelectorAll('[data-stage-cue]')].map((one) => one.dataset.stageCue)"
         )
@@ -54,25 +55,24 @@ def test_cues_are_fired_enabled_and_armed_on_the_page_of_a_stage(
         assert len(goes) == 1, "one button for GO"
         assert goes[0].startswith("GO: first")
         page.click("[data-stage-cue=door] .fire")
-        page.wait(f"{WORD} === 'plays'")
-        page.wait("document.querySelector('.stage-state').textContent.includes('scare')")
+        page.wait(f"{ON} === 'scare'")
         # Times and curves are those of the show that plays.
         page.wait("document.querySelector('.clock-of').textContent === 'of 0:03.0'")
         focus = page.run("document.activeElement === document.body")
         assert focus, "Enter is GO, not a second fire"
         page.click("[data-stage-cue=door] input")
         page.wait("document.querySelector('[data-stage-cue=door]').className === 'past'")
-        page.wait(f"{WORD} === 'idle'")
+        page.wait(f"{ON} === 'idle'")
         page.click("[data-stage-cue=second] .plain")
         page.wait("document.querySelector('[data-go]').textContent.includes('GO: second')")
         page.key("Enter")
-        page.wait(f"{WORD} === 'plays'")
-        page.click(".stage-head button:last-child")
-        page.wait("document.querySelector('.stage-state').textContent.includes('rests because')")
-        page.wait(f"{WORD} === 'rests'")
-        page.click(".stage-head button:last-child")
-        page.wait(f"{WORD} === 'idle'")
+        page.wait(f"{ON} === 'scare'")
+        page.click(".stage-head button")
+        page.wait(f"{STATE} === 'rests'")
+        page.wait("document.querySelector('.state-detail').textContent.includes('operator')")
+        page.click(".stage-head button")
+        page.wait(f"{ON} === 'idle'")
         page.wait("document.querySelector('.stage-notes').textContent.includes('cue second')")
         page.key("Escape")
         page.wait("document.body.dataset.latched === 'true'")
-        page.wait("document.querySelector('.stage-word') === null")
+        page.wait("document.querySelector('.stage-state') === null")

@@ -19,7 +19,7 @@ def lines_of(bus):
 def begin(page):
     """Start the show as a person does, and wait until it moves."""
     page.click("[data-go]")
-    page.wait("document.querySelector('.word').textContent.startsWith('ready')")
+    page.wait("document.querySelector('.state').dataset.state === 'waits'")
     # A second GO at once is taken for a slip of the finger (`GO_DEBOUNCE_MS` of actions.js).
     page.run("new Promise((done) => setTimeout(done, 700))")
     page.click("[data-go].go-ready")
@@ -57,7 +57,8 @@ def test_estop_with_the_planner_frozen_then_armed_again(studio, opened, two):
             check_safe_end(bus, page)
         finally:
             os.kill(planner, signal.SIGCONT)
-        page.wait("document.querySelector('.word').textContent.startsWith('stopped')")
+        page.wait("document.querySelector('.word').textContent === 'emergency stop'")
+        page.wait("document.querySelector('.banner-stop button').disabled === false")
         # It stays stopped until a person has said yes to a question.
         page.pointer("mouseReleased", *page.place("#estop"))
         page.click(".word")
@@ -79,8 +80,8 @@ def test_stop_from_a_second_client_that_does_not_operate(studio, opened, two):
             other.touch(*other.place("#stop"))  # A finger that stays there.
             page.wait("document.body.dataset.latched === 'true'")
             check_safe_end(bus, page)
-            page.wait("document.querySelector('.banner-stop').textContent.includes(' stop: ')")
-            page.wait("document.querySelector('.word').textContent.startsWith('stopped')")
+            page.wait("document.querySelector('.banner-stop')?.textContent.startsWith('Stopped.')")
+            page.wait("document.querySelector('.word').textContent === 'stopped'")
 
 
 @pytest.mark.slow

@@ -180,7 +180,7 @@ def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo,
         one.wait("document", is_planning=True)
         # From a second client, while the planner stands still.
         other.send("estop")
-        other.wait("player", state="ended", is_latched=True)
+        other.wait("player", state="ended", latch="estop")
         assert bus.lines[-1][1] == HOLD
         one.send("play")
         assert "rearm" in one.wait("refused")["text"]
@@ -199,7 +199,7 @@ def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo,
         assert bus.lines[-1][1] == HOLD
         assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
         os.kill(server.pid, signal.SIGCONT)
-        assert one.wait("player", state="ended", is_latched=True)["text"].startswith("stop: ")
+        assert one.wait("player", state="ended", latch="stop")
         server.send_signal(signal.SIGINT)
         _, errors = server.communicate(timeout=WAIT_S)
         assert (server.returncode, errors) == (0, "")
@@ -258,7 +258,7 @@ def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
     one.send("pair", role="view")
     assert one.wait("pairing")["urls"] == [info["addresses"][1] + "/"]
     assert post(info, "/stop", info["stops"][1], tls) == 204
-    one.wait("player", is_latched=True)
+    one.wait("player", latch="stop")
     one.send("rearm")
     one.wait("document", is_planning=False)
     one.send("play")
@@ -288,6 +288,6 @@ def test_a_port_that_is_lost_in_the_middle_of_a_show_is_said(on_terminal, servo,
     # The stop process was killed and is there again; its stop reaches the player.
     until(lambda: children(server.pid).get("stop", stop) != stop)
     assert post(info, "/stop") == 204
-    assert one.wait("player", is_latched=True)["state"] == "stopping"
-    assert one.wait("player", state="ended")["text"].startswith("stop: ")
+    assert one.wait("player", latch="stop")["state"] == "stopping"
+    assert one.wait("player", state="ended")["latch"] == "stop"
     assert one.last("robot")["state"] == "off"

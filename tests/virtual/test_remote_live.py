@@ -146,6 +146,34 @@ def test_a_joint_stays_in_its_range_and_the_limits_hold(robot):
     assert horn_deg[-1, 1] == pytest.approx(-SPEED_DEG_S * 2.6, rel=0.15)
 
 
+def drags(joint, to_deg, from_s, to_s):
+    return [(at_s, replace(jog, to_deg=to_deg)) for at_s, jog in jogs(joint, 1.0, from_s, to_s)]
+
+
+def test_a_joint_that_is_dragged_turns_to_the_angle_and_not_beyond(robot):
+    _, _, times_s, horn_deg = run(
+        robot,
+        *drags("b", 25.0, 0.1, 1.5),
+        *drags("b", -10.0, 1.5, 3.5),
+        *drags("a", 500.0, 0.1, 2.0),
+        (4.5, m.Stop()),
+    )
+    b = horn_deg[:, 1]
+    assert b.max() == pytest.approx(25.0, abs=0.5)
+    assert b[-1] == pytest.approx(-10.0, abs=0.5)
+    assert b.min() > -10.6, "it does not swing beyond"
+    assert horn_deg[:, 0].max() == pytest.approx(30.0, abs=0.5), "the end of its range"
+    speed = np.abs(np.gradient(horn_deg, times_s, axis=0))
+    assert speed.max() < 1.5 * SPEED_DEG_S, "where it turns back it makes up for its lag"
+
+
+def test_a_joint_that_is_dragged_stops_when_the_client_is_silent(robot):
+    _, _, times_s, horn_deg = run(robot, *drags("b", 85.0, 0.1, 0.6), (2.5, m.Stop()))
+    b = horn_deg[:, 1]
+    assert 10.0 < b[-1] < 40.0
+    assert times_s[np.abs(b - b[-1]) > 0.5][-1] < 0.6 + 0.25 + 0.05 + 0.2
+
+
 def test_a_pose_is_planned_and_limp_joints_stay_limp(robot):
     client, bus, _, horn_deg = run(
         robot,

@@ -109,13 +109,26 @@ class LiveJob(Struct, frozen=True, kw_only=True):
 
 @dataclass(slots=True)
 class Jogging:
-    """A joint that turns: its speed, its place by the profile, and when that was sent."""
+    """A joint that turns: its speed, its place by the profile, and when that was sent.
+
+    `low_deg` and `high_deg` are how far it may turn.
+    """
 
     speed_deg_s: float
     at_deg: float
     at_ns: int
     asked_ns: int
+    low_deg: float
+    high_deg: float
     sent_ns: int = 0
+
+    def turn_to(self, to_deg: float) -> None:
+        """Turn to an angle, and not beyond; the range of the joint holds besides."""
+        self.speed_deg_s = math.copysign(self.speed_deg_s, to_deg - self.at_deg)
+        if self.speed_deg_s > 0.0:
+            self.high_deg = max(min(self.high_deg, to_deg), self.at_deg)
+        else:
+            self.low_deg = min(max(self.low_deg, to_deg), self.at_deg)
 
 
 class LiveSession:
@@ -372,12 +385,16 @@ class Hands:
         jog = self._jogs.get(name)
         if jog is None and speed_deg_s:
             here_deg = hands_on.readings[name].deg
-            self._jogs[name] = Jogging(speed_deg_s, here_deg, now_ns, now_ns)
+            range_deg = joint.position_min_deg, joint.position_max_deg
+            jog = self._jogs[name] = Jogging(speed_deg_s, here_deg, now_ns, now_ns, *range_deg)
             self.limp.discard(name)
         elif jog is not None:
+            jog.low_deg, jog.high_deg = joint.position_min_deg, joint.position_max_deg
             jog.speed_deg_s, jog.asked_ns = speed_deg_s or jog.speed_deg_s, now_ns
             if not speed_deg_s:
                 self._brake(name, jog, hands_on, now_ns)
+        if jog is not None and speed_deg_s and operation.to_deg is not None:
+            jog.turn_to(operation.to_deg)
 
     def _renew(self, hands_on: HandsOn, now_ns: int) -> None:
         """Send the next target of each joint that jogs; brake one that is not asked for."""
@@ -408,10 +425,9 @@ class Hands:
     def _aim(self, joint: Joint, jog: Jogging, hands_on: HandsOn, lead_s: float) -> None:
         """Send a target so far ahead, at the speed of the joint, within its range."""
         wanted_deg = jog.at_deg + jog.speed_deg_s * lead_s
-        low_deg, high_deg = joint.position_min_deg, joint.position_max_deg
-        target_deg = min(max(wanted_deg, low_deg), high_deg)
+        target_deg = min(max(wanted_deg, jog.low_deg), jog.high_deg)
         duration_s = max(abs(target_deg - jog.at_deg) / abs(jog.speed_deg_s), AIM_LEAST_S)
-        jog.at_deg = min(max(jog.at_deg, low_deg), high_deg)
+        jog.at_deg = min(max(jog.at_deg, jog.low_deg), jog.high_deg)
         hands_on.move(joint.name, target_deg, duration_s)
 
     # ---- poses

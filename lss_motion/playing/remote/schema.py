@@ -21,6 +21,8 @@ OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
 PATH_MAX_CHARS: Final = 1000
 JOINTS_MAX: Final = 100
+TURN_MAX_DEG: Final = 36_000.0
+"""A hundred turns, as in robot files."""
 NAME_PATTERN: Final = r"^[A-Za-z][A-Za-z0-9_-]*$(?!\n)"
 """Python's `$` would let a line end pass."""
 RATE_LEAST: Final = 0.05
@@ -136,11 +138,13 @@ class Disconnect(Operation, frozen=True, kw_only=True, tag="disconnect"):
 class Jog(Operation, frozen=True, kw_only=True, tag="jog"):
     """Turn a joint at this share of its jogging speed; repeat it every 100 ms, or it stops.
 
-    0 stops it at once. The joint stays within its limits.
+    0 stops it at once. The joint stays within its limits. With `to_deg` it turns there, whatever
+    the sign of the speed, and not beyond.
     """
 
     joint: Name
     speed_ratio: Annotated[float, Meta(ge=-1.0, le=1.0)]
+    to_deg: Annotated[float, Meta(ge=-TURN_MAX_DEG, le=TURN_MAX_DEG)] | None = None
 
 
 class PoseGo(Operation, frozen=True, kw_only=True, tag="pose.go"):
@@ -438,6 +442,8 @@ class DocumentChanged(Event, frozen=True, kw_only=True, tag="document"):
     plan: str | None
     is_current: bool
     """Whether `plan` is that of this revision."""
+    has_planner: bool
+    """Whether the planner lives: it has ended while it worked on this revision otherwise."""
     summary: tuple[str, ...]
     robot: int
     """Changes when `robot.json` does."""
@@ -461,10 +467,10 @@ class RobotChanged(Event, frozen=True, kw_only=True, tag="robot"):
 
 
 class PlayerChanged(Event, frozen=True, kw_only=True, tag="player"):
-    """State of the process that plays. `is_latched`: stopped, until `rearm`."""
+    """State of the process that plays. `latch`: the stop that is kept until `rearm`."""
 
     state: Literal["idle", "starting", "ready", "playing", "paused", "stopping", "ended", "gone"]
-    is_latched: bool
+    latch: Literal["stop", "estop"] | None
     plan: str | None
     show_s: float | None
     text: str

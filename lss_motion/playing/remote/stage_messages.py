@@ -92,6 +92,8 @@ class CueInfo(Message, frozen=True, kw_only=True):
 
     name: str
     on: str
+    when: str
+    """When it fires next, in words: a time of day, or what must happen."""
     plays: str
     is_enabled: bool
     fired: int

@@ -48,7 +48,9 @@ export class Actions {
       fit: () => this.board?.fit(),
       follow: () => this.set({ follow: !state.follow }),
       theme: () => this.set({ theme: state.theme === "dark" ? "light" : "dark" }),
+      theatre: () => this.set({ theatre: !state.theatre, page: "show" }),
       help: () => this.set({ dialog: { kind: "help" } }),
+      shows_only: () => this.hint("This page shows the plan and does not change it. Edit the file: a key names its line. A saved file is planned again at once."),
     });
     simple[name]?.();
   }
@@ -56,6 +58,11 @@ export class Actions {
   /** @param {Record<string, unknown>} fields */
   set(fields) {
     this.store.dispatch({ type: "set", fields });
+  }
+
+  /** Say something that is neither refused nor wrong. @param {string} text */
+  hint(text) {
+    this.store.dispatch({ type: "refused", text, is_hint: true });
   }
 
   /** Close what is open: a question or help, a message, a drag, a selection; return whether it was. */
@@ -88,7 +95,7 @@ export class Actions {
   /** Start the show, from the cursor or from its start. @param {boolean} fromCursor */
   play(fromCursor) {
     const { document: own, view, cursor_s, player } = this.store.state.value;
-    if (player.is_latched) {
+    if (player.latch !== null) {
       this.askRearm();
       return;
     }

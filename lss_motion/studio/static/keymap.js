@@ -27,6 +27,8 @@ export const KEYMAP = [
   { keys: ["a"], action: "order_0", text: "curves of angle", pages: ["timeline"] },
   { keys: ["s"], action: "order_1", text: "curves of speed", pages: ["timeline"] },
   { keys: ["d"], action: "order_2", text: "curves of acceleration", pages: ["timeline"] },
+  { keys: ["i", "k", "I", "K", "Delete", "Backspace", "Control+z", "Control+y", "Control+Z"], action: "shows_only", text: "nothing: this page shows, the file is edited", pages: ["timeline"] },
+  { keys: ["v"], action: "theatre", text: "figure and clock only, and back" },
   { keys: ["1"], action: "page_show", text: "Show page" },
   { keys: ["2"], action: "page_timeline", text: "Timeline page" },
   { keys: ["3"], action: "page_robot", text: "Robot page" },
@@ -41,8 +43,9 @@ export const STOP_KEYS = [
 ];
 
 /** Return the name of a pressed key as the table has it.
- * @param {{ key: string, code: string, shiftKey: boolean }} event */
+ * @param {{ key: string, code: string, shiftKey: boolean, ctrlKey: boolean, metaKey: boolean }} event */
 export function keyName(event) {
+  if (event.ctrlKey || event.metaKey) return `Control+${event.key}`;
   if (event.code === "Space") return "Space";
   const isNamed = event.key.length > 1;
   return event.shiftKey && isNamed ? `Shift+${event.key}` : event.key;

@@ -123,7 +123,7 @@ export class ServerLink {
     const frame = telemetryFrom(data);
     if (frame === null) return;
     this.#store.telemetry.value = frame;
-    if (frame.show_s >= 0) this.#store.readings.push(frame.show_s, frame.read_deg);
+    if (frame.show_s >= 0) this.#store.readings.push(frame.plan, frame.show_s, frame.read_deg);
     requestFrame();
   }
 
@@ -133,7 +133,7 @@ export class ServerLink {
       this.#retry_ms = RETRY_MS;
       setStopOrigin(event.stop_origin);
     }
-    if (event.event === "player") confirmStop(event.is_latched);
+    if (event.event === "player") confirmStop(event.latch !== null);
     if (event.event === "started") {
       this.#store.readings.reset(event.joints.length);
       this.#store.telemetry.value = null;

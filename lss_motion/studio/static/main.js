@@ -25,7 +25,8 @@ function App() {
   if (state.link.status === "denied") return html`<${Entry} text=${state.link.text} link=${link} />`;
   if (state.welcome === null) return html`<p class="boot" role="status">${state.link.text || "Connecting to the studio…"}</p>`;
   const Page = { show: ShowPage, timeline: TimelinePage, robot: RobotLoader }[state.page];
-  return html`<div class=${`app app-${state.page} ${state.link.status === "lost" ? "app-lost" : ""}`}>
+  const isTheatre = state.theatre && state.page === "show";
+  return html`<div class=${`app app-${state.page} ${isTheatre ? "app-theatre" : ""} ${state.link.status === "lost" ? "app-lost" : ""}`}>
     <${Header} state=${state} actions=${actions} />
     <${Banners} state=${state} actions=${actions} />
     <${Page} state=${state} actions=${actions} store=${store} dispatch=${store.dispatch} link=${link} />
@@ -47,7 +48,7 @@ function RobotLoader(props) {
 }
 
 window.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.altKey) return;
   const name = keyName(event);
   const state = store.state.value;
   if (state.dialog !== null || keepsKey(document.activeElement, name)) return;

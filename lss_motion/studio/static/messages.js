@@ -73,7 +73,7 @@ function keysByJoint(lanes) {
       for (const [joint, deg] of Object.entries(key.deg)) {
         (found[joint] ??= []).push({
           at_s: key.at_s, deg, hold_s: key.hold_s, is_anchor: key.is_anchor,
-          lane: lane_index, key: key_index,
+          lane: lane_index, key: key_index, is_added: lane.is_added,
         });
       }
     });

@@ -24,9 +24,12 @@ export class ReadingTrace {
   /** When the frame before came. */
   #before_s = -Infinity;
   #joints = 0;
+  /** Of which plan they are. */
+  plan = "";
 
   /** Forget everything. @param {number} joints */
   reset(joints) {
+    this.plan = "";
     this.#segments = [];
     this.#joints = joints;
     this.#last_deg = new Float64Array(joints).fill(NaN);
@@ -39,9 +42,11 @@ export class ReadingTrace {
   }
 
   /** Add a frame: the last reading of each joint, NaN for one that was not read yet.
-   * @param {number} at_s @param {ArrayLike<number>} deg in the order of the joints */
-  push(at_s, deg) {
-    if (deg.length !== this.#joints) this.reset(deg.length);
+   * Those of another plan are forgotten. @param {string} plan @param {number} at_s
+   * @param {ArrayLike<number>} deg in the order of the joints */
+  push(plan, at_s, deg) {
+    if (deg.length !== this.#joints || plan !== this.plan) this.reset(deg.length);
+    this.plan = plan;
     if (at_s >= this.#before_s && at_s - this.#before_s < STEP_MIN_S) return;
     if (at_s < this.#before_s) this.#last_s.fill(-Infinity);
     /** @type {number[]} */

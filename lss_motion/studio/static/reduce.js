@@ -25,7 +25,7 @@ export function firstState() {
     clients: 0,
     lease: { holder: null, holder_name: null, is_mine: false },
     document: null,
-    player: { state: "idle", is_latched: false, plan: null, show_s: null, text: "" },
+    player: { state: "idle", latch: null, plan: null, show_s: null, text: "" },
     robot_state: null,
     robot: null,
     view: null,
@@ -43,6 +43,7 @@ export function firstState() {
     maintenance: null,
     pairing: null,
     page: "show",
+    theatre: false,
     theme: "dark",
     cursor_s: 0,
     order: 0,
@@ -60,7 +61,7 @@ export function reduce(state, action) {
   if (action.type === "set") return { ...state, .../** @type {Partial<State>} */ (action["fields"]) };
   if (action.type === "refused") {
     const number = (state.refusal?.number ?? 0) + 1;
-    return { ...state, refusal: { number, text: String(action["text"]) } };
+    return { ...state, refusal: { number, text: String(action["text"]), is_hint: action["is_hint"] === true } };
   }
   if (action.type === "cursor") {
     const end_s = state.view?.view_s ?? 0;

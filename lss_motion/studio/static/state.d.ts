@@ -8,7 +8,7 @@ export type Key = {
   ease: string; line: number | null; deg: Record<string, number>;
 };
 export type Lane = {
-  name: string; kind: "track" | "layer" | "part"; joints: string[]; keys: Key[];
+  name: string; kind: "track" | "layer" | "part"; file: string; is_added: boolean; joints: string[]; keys: Key[];
   times_s: Float64Array;
 };
 export type JointView = {
@@ -17,7 +17,7 @@ export type JointView = {
   voltage_min_v: number; following_deg: number;
 };
 export type JointCurves = { plan: Curve; predicted: Curve; authored: Curve | null };
-export type JointKey = { at_s: number; deg: number; hold_s: number; is_anchor: boolean; lane: number; key: number };
+export type JointKey = { at_s: number; deg: number; hold_s: number; is_anchor: boolean; lane: number; key: number; is_added: boolean };
 export type LineView = {
   step_s: number; use_ratio: Float32Array; baud_bps: number; commands: number; mean_ratio: number;
   worst_100_ms_ratio: number; reading_rate_hz: number | null; reading_rate_min_hz: number;
@@ -60,11 +60,11 @@ export type Trouble = { number: number; kind: "fault" | "warning" | "note"; at_s
 export type Document = {
   revision: number; file: string; kind: string; title: string; is_planning: boolean;
   errors: { path: string; line: number | null; text: string }[]; notes: string[];
-  plan: string | null; is_current: boolean; summary: string[]; robot: number;
+  plan: string | null; is_current: boolean; has_planner: boolean; summary: string[]; robot: number;
 };
-export type Player = { state: string; is_latched: boolean; plan: string | null; show_s: number | null; text: string };
+export type Player = { state: string; latch: "stop" | "estop" | null; plan: string | null; show_s: number | null; text: string };
 export type StageCue = {
-  name: string; on: string; plays: string; is_enabled: boolean; fired: number; refused: string;
+  name: string; on: string; when: string; plays: string; is_enabled: boolean; fired: number; refused: string;
 };
 export type StageTimecode = {
   state: string; source: string; at: string; rate: number | null; show: string | null; off_ms: number | null;
@@ -114,13 +114,14 @@ export type State = {
   maintenance: any;
   pairing: null | { code: string; role: string; valid_s: number; urls: string[] };
   page: Page;
+  theatre: boolean;
   theme: "dark" | "light";
   cursor_s: number;
   order: 0 | 1 | 2;
   follow: boolean;
   selection: Selection;
   row: number;
-  dialog: null | { kind: string; title?: string; text?: string; yes?: string; run?: () => void };
-  refusal: null | { number: number; text: string };
+  dialog: null | { kind: string; file?: string; line?: number | null; title?: string; text?: string; yes?: string; run?: () => void };
+  refusal: null | { number: number; text: string; is_hint: boolean };
 };
 export type Action = { type: string; [key: string]: unknown };

@@ -126,10 +126,30 @@ def test_the_figures_of_the_examples_stand_in_their_poses():
     assert fingers["left_finger"][-1][2] > 450, "upright"
     body = load_robot(EXAMPLES / "robots/figure.yaml")
     up = body.figure.points_mm(body.poses["hands_up"])
-    assert min(up["left_forearm"][-1][2], up["right_forearm"][-1][2]) > up["head"][-1][2]
+    top_mm = up["neck"][-1][2] + 110.0  # The head is a ball of 110 mm on the neck.
+    assert min(up["left_forearm"][-1][2], up["right_forearm"][-1][2]) > top_mm
     wide = body.figure.points_mm(body.poses["arms_wide"])
     # Mirror images: the same but for the sign of y.
     np.testing.assert_allclose(wide["left_forearm"] * [1, -1, 1], wide["right_forearm"], atol=1e-9)
+
+
+def test_a_ball_stands_in_the_middle_of_its_link_and_turns_with_it():
+    ghost = load_robot(EXAMPLES / "robots/ghost.yaml")
+    names = [link.name for link in ghost.figure.links]
+    jaw = ghost.figure.links[names.index("jaw")]
+    (ball,) = jaw.shapes
+    assert (jaw.lines_mm, ball.kind, ball.size_mm) == ((), "ball", (46.0, 42.0, 19.0))
+    heights = []
+    for deg in (0.0, 40.0):
+        rotation, origin = ghost.figure.placed({"jaw": deg})[names.index("jaw")]
+        heights.append((rotation @ np.array(ball.origin_mm) + origin)[2])
+    assert heights[1] < heights[0] - 20.0, "it opens downwards"
+    skull = ghost.figure.links[names.index("skull")].shapes[0]
+    assert ghost.figure.reach_mm > 2 * max(skull.size_mm)
+    shades = {
+        shape["shade"] for link in ghost.figure.as_json()["links"] for shape in link["shapes"]
+    }
+    assert shades == {None, "dark", "light"}
 
 
 URDF = """\

@@ -427,6 +427,7 @@ def test_quiet_hours_begin_after_the_show_and_end():
     assert desk.shown == ["sleep"]
     desk.press("x")
     assert desk.refusal("x") == "the figure rests: quiet hours"
+    assert list(desk.director.duty.reasons.values()) == ["quiet hours (until 13:00)"]
     desk.finish("sleep")
     desk.wait(3600, step_s=30)
     assert desk.shown == ["idle"]

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.stage.triggering import CORRECTED, LATE, CronClock, clock_time, is_within
+from lss_motion.stage.model import CueTrigger, TriggerKind
+from lss_motion.stage.triggering import CORRECTED, LATE, CronClock, clock_time, end_of_span
 
 BERLIN = ZoneInfo("Europe/Berlin")
 SPRING = datetime(2026, 3, 29, 1, 0, tzinfo=UTC)  # 02:00 becomes 03:00
@@ -101,6 +102,21 @@ def test_a_clock_that_is_set_says_so():
 
 def test_spans_of_a_day_go_through_midnight():
     night = [(time(23), time(8))]
-    inside = [is_within(time(hour), night) for hour in (22, 23, 0, 7, 8, 12)]
-    assert inside == [False, True, True, True, False, False]
+    ends = [end_of_span(time(hour), night) for hour in (22, 23, 0, 7, 8, 12)]
+    assert ends == [None, time(8), time(8), time(8), None, None]
     assert clock_time("24:10") is None
+
+
+TIMES = ("0 * * * *", "0 9 6 1 *")
+
+
+def test_the_next_time_is_one_at_which_the_cue_may_fire():
+    clock = CronClock(["0 * * * *"], UTC)
+    assert clock.coming("0 * * * *", ()) is None, "the time of day is not known yet"
+    clock.due(datetime(2026, 1, 1, 12, 30, tzinfo=UTC))
+    assert f"{clock.coming('0 * * * *', ()):%d %H:%M}" == "01 13:00"
+    closed = [(time(11), time(19))]
+    assert f"{clock.coming('0 * * * *', closed):%d %H:%M}" == "01 19:00", "after quiet hours"
+    assert clock.coming("30 12 * * *", closed) is None, "always within them"
+    said = [clock.when(CueTrigger(kind=TriggerKind.TIME, address=text), closed) for text in TIMES]
+    assert said == ["next 19:00", "next 2026-01-06 09:00"]

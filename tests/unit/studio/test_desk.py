@@ -158,10 +158,10 @@ def test_a_stop_is_kept_until_it_is_armed_again(stage):
     assert stage.ask("estop") == "accepted"
     assert isinstance(Player.all[0].sent[-1], m.Estop)
     assert stage.stops.done == ["estop"]
-    assert stage.last("player")["is_latched"]
+    assert stage.last("player")["latch"] == "estop"
     assert "wait until it has ended" in stage.ask("rearm")
     Player.all[0].end("stopped")
-    assert stage.last("player")["text"].startswith("emergency stop: nothing moves"), "which it was"
+    assert stage.last("player")["latch"] == "estop", "which it was"
     for op in ("play", "connect", "scan"):
         assert "rearm" in stage.ask(op)
     assert stage.ask("rearm") == "accepted"
@@ -169,7 +169,7 @@ def test_a_stop_is_kept_until_it_is_armed_again(stage):
     stage.stops.latch = "stop"  # By the process that only stops.
     assert "rearm" in stage.ask("connect")
     stage.stops.on_latch()
-    assert stage.last("player")["is_latched"]
+    assert stage.last("player")["latch"] == "stop"
 
 
 def test_a_connected_robot_is_given_up_for_the_show_unless_that_is_stopped(stage):

@@ -15,6 +15,8 @@ TEXTS = [  # text, ground: 4.5 to 1
     *(("text", f"{name}-ground") for name in ("bad", "warn", "note")),
     *(("event", ground) for ground in ("surface",)),
     *((f"{name}-ink", name) for name in ("accent", "stop", "estop", "go")),
+    *((text, f"{text}-ground") for text in ("bad", "warn")),
+    *(("ground", tone) for tone in ("bad", "warn")),
     ("accent", "ground"),
     ("good", "ground"),
     ("warn", "ground"),
@@ -83,5 +85,8 @@ def test_every_colour_that_is_used_is_in_both_themes():
     for path in [*STATIC.rglob("*.css"), *(STATIC / "timeline").glob("*.js")]:
         used |= set(re.findall(r"var\(--([\w-]+)|\"--([\w-]+)\"", path.read_text(encoding="utf-8")))
     named = {one or other for one, other in used}
-    defined = set(re.findall(r"--([\w-]+):", (STATIC / "theme.css").read_text(encoding="utf-8")))
+    sheets = "".join(
+        (STATIC / name).read_text(encoding="utf-8") for name in ("theme.css", "app.css")
+    )
+    defined = set(re.findall(r"--([\w-]+):", sheets))
     assert named <= defined, named - defined

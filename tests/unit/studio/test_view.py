@@ -109,7 +109,14 @@ def test_the_lanes_of_a_play_list_stand_where_its_parts_are_played():
     assert {("layer", "nod"), ("track", "greet")} <= kinds
     nod = next(lane for lane in view["lanes"] if lane["kind"] == "layer")
     marks = {round(mark.planned_s, 3) for mark in values[1].marks}
-    assert {round(key["at_s"], 3) for key in nod["keys"]} <= marks
+    assert marks >= {round(key["at_s"], 3) for key in nod["keys"] if key["at_s"] <= 3.0}
+    assert nod["is_added"]
+    assert nod["file"] == "parts/nod.yaml"
+    times = [round(key["at_s"], 3) for key in nod["keys"]]
+    assert times == [
+        *(1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0),
+        *(9.0, 9.5, 10.0, 10.5, 11.0, 11.5, 12.0, 12.5, 13.0),
+    ], "both passes of both layers"
 
 
 def test_the_line_is_used_as_long_as_the_bytes_take(show):

@@ -11,7 +11,7 @@ import { POINT } from "./kinematics.js";
 
 /** @type {Record<string, Direction>} */
 export const VIEWS = {
-  Perspective: { yaw_deg: -55, pitch_deg: 18 },
+  Perspective: { yaw_deg: -32, pitch_deg: 12 },
   Front: { yaw_deg: 0, pitch_deg: 0 },
   Side: { yaw_deg: -90, pitch_deg: 0 },
   Top: { yaw_deg: -90, pitch_deg: 89.9 },

@@ -17,11 +17,13 @@ import { StickFigure } from "./stick.js";
 
 /** Custom properties of the theme by role. */
 const COLOURS = /** @type {const} */ ({
-  solid: "--figure-solid",
+  plan: "--plan",
+  reading: "--reading",
   edge: "--figure-edge",
-  ghost: "--figure-ghost",
-  reading: "--figure-reading",
+  authored: "--authored",
   ground: "--figure-ground",
+  dark: "--figure-dark",
+  light: "--figure-light",
 });
 
 /**
@@ -43,7 +45,7 @@ export function createFigure(element, figure, options) {
 /** A figure in an element. `ready` resolves when it is decided whether it is 3D. */
 class FigureOnPage {
   /** @type {Poses} */
-  #poses = { predicted: {}, authored: null, read: null };
+  #poses = { solid: {}, isRead: false, authored: null, line: null };
   /** @type {Palette | null} */
   #palette = null;
   /** @type {Drawing | null} */

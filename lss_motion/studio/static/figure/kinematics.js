@@ -9,11 +9,12 @@
 
 /**
  * @typedef {object} Shape
- * @property {"box" | "cylinder" | "sphere" | "mesh"} kind
+ * @property {"box" | "cylinder" | "sphere" | "ball" | "mesh"} kind a ball has three half axes
  * @property {number[]} size_mm
  * @property {number[]} origin_mm
  * @property {number[]} rotation nine numbers, by rows
  * @property {string | null} path
+ * @property {null | "dark" | "light"} shade null: that of the figure
  * @property {number[][]} [corners_mm] of a mesh that is loaded, in its link
  */
 /**
@@ -28,6 +29,7 @@
  * @property {number[]} rotation nine numbers, by rows
  * @property {number[][][]} lines_mm
  * @property {number} width_mm
+ * @property {null | "dark" | "light"} shade null: that of the figure
  * @property {Shape[]} shapes
  */
 /**
@@ -140,6 +142,7 @@ function shapeCorners(shape) {
     box: [a / 2, b / 2, c / 2],
     cylinder: [a, a, b / 2],
     sphere: [a, a, a],
+    ball: [a, b, c],
     mesh: [0, 0, 0],
   }[shape.kind];
   const [dx, dy, dz] = halves;

@@ -1,7 +1,7 @@
 // @ts-check
 /** The figure of a show: the plan at the cursor, and the robot while it plays. */
 
-import { html, useEffect, useRef } from "../vendor/preact.js";
+import { html, useEffect, useRef, useState } from "../vendor/preact.js";
 import { angleAt, withinView } from "../curves.js";
 import { nextFrame, onFrame } from "../frames.js";
 import { createFigure } from "./figure.js";
@@ -12,24 +12,30 @@ import { createFigure } from "./figure.js";
 /** @typedef {import("./stick.js").Poses} Poses */
 /** @typedef {import("./kinematics.js").Pose} Pose */
 
-const PLAYING = new Set(["playing", "paused", "stopping"]);
+/** What a show does while its figure is that of the telemetry. */
+const RUNNING = new Set(["starting", "ready", "playing", "paused", "stopping"]);
+
+/** Whether what the author asks for is not what is planned. @param {View} view */
+function hasGhost(view) {
+  return view.stretched.length > 0 || view.given_up.length > 0;
+}
 
 /**
- * Return the poses of a show at an instant of its view: predicted, and authored as the ghost.
+ * Return the poses of a show at an instant of its view, and as the robot was read last.
  * @param {View} view @param {number} at_s @returns {Poses}
  */
 export function posesAt(view, at_s) {
   /** @type {Pose} */
-  const predicted = {};
+  const solid = {};
   /** @type {Pose} */
   const authored = {};
   for (const { name } of view.joints) {
     const curves = view.curves[name];
     if (curves === undefined) continue;
-    predicted[name] = angleAt(curves.predicted, at_s);
+    solid[name] = angleAt(curves.plan, at_s);
     authored[name] = angleAt(curves.authored ?? curves.plan, at_s);
   }
-  return { predicted, authored, read: null };
+  return { solid, isRead: false, authored: hasGhost(view) ? authored : null, line: null };
 }
 
 /**
@@ -58,23 +64,42 @@ export class Deviations {
 }
 
 /**
- * Return the poses of a running show: as it is predicted, and as far from it as the servos reported.
- * @param {View} view @param {Telemetry} telemetry @param {Deviations} deviations @returns {Poses}
+ * Return the pose of the robot: where it is predicted, and as far from that as the servos reported;
+ * null while none has.
+ * @param {View} view @param {Telemetry} telemetry @param {Deviations} deviations @returns {Pose | null}
  */
-export function posesOf(view, telemetry, deviations) {
-  const poses = posesAt(view, withinView(view, Math.max(0, telemetry.show_s)));
+export function readPose(view, telemetry, deviations) {
   /** @type {Pose} */
   const read = {};
   let isRead = false;
   view.joints.forEach(({ name }, index) => {
-    const predicted_deg = telemetry.predicted_deg[index] ?? NaN;
-    if (Number.isFinite(predicted_deg)) poses.predicted[name] = predicted_deg;
     const away_deg = deviations.of(index);
     // A joint that was not read yet stands where it is predicted.
-    read[name] = (poses.predicted[name] ?? NaN) + (Number.isFinite(away_deg) ? away_deg : 0);
+    read[name] = (telemetry.predicted_deg[index] ?? NaN) + (Number.isFinite(away_deg) ? away_deg : 0);
     isRead ||= Number.isFinite(away_deg);
   });
-  return { ...poses, read: isRead ? read : null };
+  return isRead ? read : null;
+}
+
+/**
+ * Return what is drawn. The robot stands where it was read last, whatever the cursor shows; only who
+ * looks for an instant (`isSought`) while no show runs sees the plan of the cursor, the robot thin.
+ * @param {View} view @param {Pose | null} read @param {{ at_s: number, isRunning: boolean, isSought: boolean }} when
+ * @returns {Poses}
+ */
+export function posesOf(view, read, { at_s, isRunning, isSought }) {
+  const planned = posesAt(view, at_s);
+  if (read === null) return planned;
+  if (isSought && !isRunning) return { ...planned, line: read };
+  return { ...planned, solid: read, isRead: true, line: isApart(read, planned.solid) ? planned.solid : null };
+}
+
+/** From this difference on two poses can be told apart in the picture. */
+const APART_DEG = 1.5;
+
+/** @param {Pose} one @param {Pose} other */
+function isApart(one, other) {
+  return Object.keys(one).some((name) => Math.abs((one[name] ?? NaN) - (other[name] ?? NaN)) > APART_DEG);
 }
 
 /** Instants of a view whose poses are kept in the picture. */
@@ -83,20 +108,9 @@ const FRAMED_INSTANTS = 120;
 /** Return poses all over a view. @param {View} view */
 export function posesAllOver(view) {
   return Array.from({ length: FRAMED_INSTANTS }, (_, i) => {
-    const poses = posesAt(view, (i * view.view_s) / (FRAMED_INSTANTS - 1));
-    return [poses.predicted, poses.authored ?? {}];
+    const { solid, authored } = posesAt(view, (i * view.view_s) / (FRAMED_INSTANTS - 1));
+    return [solid, authored ?? {}];
   }).flat();
-}
-
-/**
- * What is drawn now: it changes exactly when the picture does.
- * @param {Store} store @returns {[View | null, Telemetry | number, string]}
- */
-function drawnState(store) {
-  const state = store.state.peek();
-  const telemetry = store.telemetry.peek();
-  const isPlaying = PLAYING.has(state.player.state) && telemetry?.plan === state.view?.plan;
-  return [state.view, isPlaying && telemetry !== null ? telemetry : state.cursor_s, state.theme];
 }
 
 /** Why there is nothing to draw. @param {{ robot: import("../pages/robot_view.js").RobotJson }} props */
@@ -106,32 +120,40 @@ export function NoFigure({ robot }) {
     : html`<p class="quiet figure-problem"><b>⚠ There is no figure.</b> ${robot.figure_problem}</p>`;
 }
 
-/** @param {{ store: Store }} props */
-export function FigurePanel({ store }) {
+/** @param {{ store: Store, isSought?: boolean }} props */
+export function FigurePanel({ store, isSought = false }) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
+  const [isRead, setRead] = useState(false);
   const robot = /** @type {import("../pages/robot_view.js").RobotJson | null} */ (
     store.state.value.robot
   );
   const figure = robot?.figure ?? null;
   useEffect(() => {
     if (place.current === null || figure === null) return undefined;
-    const label = "figure: predicted horn solid, authored pose as a ghost, readings thin";
+    const label = "figure: the robot as it was read, else the plan; the authored pose as a ghost";
     const shown = createFigure(place.current, figure, { schedule: nextFrame, label });
     /** @type {unknown[]} */
     let drawn = [];
-    const deviations = new Deviations();
+    let deviations = new Deviations();
+    let plan = "";
     const end = onFrame(() => {
-      const [view, at, theme] = drawnState(store);
-      if (view === null || (view === drawn[0] && at === drawn[1] && theme === drawn[2])) return;
-      if (theme !== drawn[2]) shown.setTheme();
+      const { view, player, cursor_s, theme } = store.state.peek();
+      const newest = store.telemetry.peek();
+      const telemetry = newest?.plan === view?.plan ? newest : null;
+      const isRunning = RUNNING.has(player.state) && telemetry !== null;
+      const now = [view, telemetry, isRunning, cursor_s, theme];
+      if (view === null || now.every((one, index) => one === drawn[index])) return;
+      if (theme !== drawn[4]) shown.setTheme();
       if (view !== drawn[0]) shown.frame(posesAllOver(view));
-      drawn = [view, at, theme];
-      if (typeof at === "number") {
-        shown.show(posesAt(view, at));
-        return;
-      }
-      deviations.take(at);
-      shown.show(posesOf(view, at, deviations));
+      drawn = now;
+      if (newest !== null && newest.plan !== plan) deviations = new Deviations();
+      plan = newest?.plan ?? "";
+      if (telemetry !== null) deviations.take(telemetry);
+      const read = telemetry === null ? null : readPose(view, telemetry, deviations);
+      const at_s = isRunning && telemetry !== null ? withinView(view, Math.max(0, telemetry.show_s)) : cursor_s;
+      const poses = posesOf(view, read, { at_s, isRunning, isSought });
+      setRead(poses.isRead);
+      shown.show(poses);
     });
     return () => {
       end();
@@ -140,10 +162,11 @@ export function FigurePanel({ store }) {
   }, [figure]);
   if (robot === null) return null;
   if (figure === null) return html`<${NoFigure} robot=${robot} />`;
+  const view = store.state.value.view;
   return html`<div ref=${place} class="figure-panel"></div>
     <ul class="figure-legend" aria-label="legend of the figure">
-      <li class="is-solid">predicted</li>
-      <li class="is-ghost">authored</li>
-      <li class="is-reading">read</li>
+      <li class=${`is-solid ${isRead ? "is-read" : ""}`}>${isRead ? "read" : "plan"}</li>
+      ${isRead ? html`<li>plan</li>` : null}
+      ${view !== null && hasGhost(view) ? html`<li class="is-authored">authored</li>` : null}
     </ul>`;
 }

@@ -28,6 +28,7 @@ import {
 import { STRIDE, cloudOf, groundOf, isThick, placeLinks } from "./kinematics.js";
 import { axesOf, distanceFor, extentsOf, middleOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
+import { coloursOf } from "./stick.js";
 
 /** @typedef {import("./kinematics.js").Figure} Figure */
 /** @typedef {import("./kinematics.js").Link} Link */
@@ -76,14 +77,16 @@ export class SceneFigure {
         polygonOffsetFactor: 2,
         polygonOffsetUnits: 2,
       }),
-      reading: new LineBasicMaterial({ depthTest: false }),
+      dark: new MeshLambertMaterial(),
+      light: new MeshLambertMaterial(),
+      line: new LineBasicMaterial({ depthTest: false }),
       ground: new LineBasicMaterial({ transparent: true, opacity: 0.6 }),
     };
-    const { solid, edge, ghost, reading, ground } = this.materials;
+    const { solid, edge, ghost, dark, light, line, ground } = this.materials;
     this.parts = {
-      predicted: figure.links.map((link) => solidLink(link, solid, edge)),
-      authored: figure.links.map((link) => solidLink(link, ghost, ghost)),
-      read: figure.links.map((link) => lineLink(link, reading)),
+      solid: figure.links.map((link) => solidLink(link, { own: solid, edge, dark, light })),
+      authored: figure.links.map((link) => solidLink(link, { own: ghost, edge: ghost, dark: ghost, light: ghost })),
+      line: figure.links.map((link) => lineLink(link, line)),
     };
     this.robot = new Group();
     for (const groups of Object.values(this.parts)) this.robot.add(...groups);
@@ -111,13 +114,15 @@ export class SceneFigure {
 
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
   draw(poses, palette, size, ratio) {
-    for (const role of /** @type {const} */ (["solid", "edge", "ghost", "reading", "ground"])) {
-      this.materials[role].color = new Color(palette[role]);
+    const { edge, ground, dark, light, authored } = palette;
+    const colours = { ...coloursOf(poses, palette), edge, ground, dark, light, ghost: authored };
+    for (const [role, colour] of Object.entries(colours)) {
+      this.materials[/** @type {keyof typeof colours} */ (role)].color = new Color(colour);
     }
-    const placed = placeLinks(this.figure, poses.predicted);
+    const placed = placeLinks(this.figure, poses.solid);
     this.robot.position.z = -groundOf(this.figure, placed);
-    apply(this.parts.predicted, placed);
-    for (const role of /** @type {const} */ (["authored", "read"])) {
+    apply(this.parts.solid, placed);
+    for (const role of /** @type {const} */ (["authored", "line"])) {
       const pose = poses[role];
       for (const group of this.parts[role]) group.visible = pose !== null;
       if (pose !== null) apply(this.parts[role], placeLinks(this.figure, pose));
@@ -125,7 +130,7 @@ export class SceneFigure {
     this.renderer.setPixelRatio(ratio);
     this.renderer.setSize(size.width_px, size.height_px, false);
     this.camera.aspect = size.width_px / Math.max(1, size.height_px);
-    this.#cloud = cloudOf(this.figure, [poses.predicted, poses.authored], this.#cloud, true);
+    this.#cloud = cloudOf(this.figure, [poses.solid, poses.authored], this.#cloud, true);
     this.#aim(this.#cloud);
     this.camera.updateProjectionMatrix();
     this.sun.position.copy(this.camera.position).addScaledVector(UP, this.figure.reach_mm);
@@ -162,8 +167,11 @@ function apply(groups, placed) {
   });
 }
 
-/** @param {Link} link @param {MeshLambertMaterial} material @param {MeshLambertMaterial} knuckle */
-function solidLink(link, material, knuckle) {
+/** @typedef {Record<"own" | "edge" | "dark" | "light", MeshLambertMaterial>} Materials */
+
+/** @param {Link} link @param {Materials} materials */
+function solidLink(link, materials) {
+  const material = materials[link.shade ?? "own"];
   const group = new Group();
   group.name = link.name;
   group.matrixAutoUpdate = false;
@@ -172,13 +180,13 @@ function solidLink(link, material, knuckle) {
     for (let i = 1; i < line.length; i += 1) group.add(bar(line[i - 1], line[i], radius_mm, material));
   }
   for (const shape of link.shapes) {
-    const solid = solidShape(shape, material);
+    const solid = solidShape(shape, materials[shape.shade ?? "own"]);
     if (solid !== null) group.add(solid);
   }
   const line = link.lines_mm[0];
   const isBare = line !== undefined && link.shapes.length === 0;
   if (link.joint !== null && isBare && !isThick(link.width_mm, line[0], line[1])) {
-    group.add(new Mesh(new SphereGeometry(1.15 * radius_mm, 16, 12), knuckle));
+    group.add(new Mesh(new SphereGeometry(1.15 * radius_mm, 16, 12), materials.edge));
   }
   return group;
 }
@@ -187,9 +195,8 @@ function solidLink(link, material, knuckle) {
 function lineLink(link, material) {
   const group = new Group();
   group.matrixAutoUpdate = false;
-  const points = link.lines_mm.flatMap((line) =>
-    line.slice(1).flatMap((point, i) => [...line[i], ...point]),
-  );
+  const lines = [...link.lines_mm, ...link.shapes.filter((shape) => shape.kind === "ball").flatMap(ringsOf)];
+  const points = lines.flatMap((line) => line.slice(1).flatMap((point, i) => [...line[i], ...point]));
   if (points.length > 0) {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new Float32BufferAttribute(points, 3));
@@ -198,6 +205,20 @@ function lineLink(link, material) {
     group.add(lines);
   }
   return group;
+}
+
+/** Corners of a ring. */
+const RING_POINTS = 25;
+
+/** Return a ring round a ball in each of its three planes. @param {Shape} shape @returns {number[][][]} */
+function ringsOf({ origin_mm, size_mm }) {
+  return [[0, 1], [1, 2], [2, 0]].map(([across, up]) => Array.from({ length: RING_POINTS }, (_, i) => {
+    const turn = (2 * Math.PI * i) / (RING_POINTS - 1);
+    const point = [...origin_mm];
+    point[across] += size_mm[across] * Math.cos(turn);
+    point[up] += size_mm[up] * Math.sin(turn);
+    return point;
+  }));
 }
 
 /** @param {number[]} from @param {number[]} to @param {number} radius_mm @param {MeshLambertMaterial} material */
@@ -222,6 +243,11 @@ function solidShape(shape, material) {
   const group = framed(shape);
   if (shape.kind === "box") group.add(new Mesh(new BoxGeometry(a, b, c), material));
   if (shape.kind === "sphere") group.add(new Mesh(new SphereGeometry(a, 24, 16), material));
+  if (shape.kind === "ball") {
+    const ball = new Mesh(new SphereGeometry(1, 32, 24), material);
+    ball.scale.set(a, b, c);
+    group.add(ball);
+  }
   if (shape.kind === "cylinder") {
     const cylinder = new Mesh(new CylinderGeometry(a, a, b, 24), material);
     cylinder.rotation.x = Math.PI / 2; // Those of three.js stand along y, those of URDF along z.
@@ -271,7 +297,7 @@ async function loadMeshes(scene, meshUrl, changed) {
       const geometry = new STLLoader().parse(await answer.arrayBuffer());
       geometry.computeVertexNormals(); // Many programs write none into the file.
       shape.corners_mm = cornersOf(geometry, shape);
-      const groups = [scene.parts.predicted[index], scene.parts.authored[index]];
+      const groups = [scene.parts.solid[index], scene.parts.authored[index]];
       for (const [i, material] of [scene.materials.solid, scene.materials.ghost].entries()) {
         const mesh = new Mesh(geometry, material);
         mesh.scale.set(shape.size_mm[0], shape.size_mm[1], shape.size_mm[2]);

@@ -1,27 +1,38 @@
 // @ts-check
 /** A figure on a 2D canvas. It works in every browser. `drawStick` is pure but for its context. */
 
-import { cloudOf, groundOf, isThick, placeLinks, pointAt } from "./kinematics.js";
-import { projected, projectionOf } from "./camera.js";
+import { cloudOf, groundOf, isThick, placeLinks, pointAt, STRIDE } from "./kinematics.js";
+import { dot, projected, projectionOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 
 /** @typedef {import("./kinematics.js").Figure} Figure */
 /** @typedef {import("./kinematics.js").Pose} Pose */
 /** @typedef {import("./kinematics.js").Cloud} Cloud */
 /** @typedef {import("./camera.js").Projection} Projection */
-/** @typedef {{predicted: Pose, authored: Pose | null, read: Pose | null}} Poses */
-/** @typedef {{solid: string, edge: string, ghost: string, reading: string, ground: string}} Palette */
+/**
+ * @typedef {object} Poses
+ * @property {Pose} solid where the robot is, as far as it `isRead`; else the plan
+ * @property {boolean} isRead
+ * @property {Pose | null} authored drawn as a dashed ghost
+ * @property {Pose | null} line the other one of plan and reading, as a thin line
+ */
+/** @typedef {Record<"plan" | "reading" | "edge" | "authored" | "ground" | "dark" | "light", string>} Palette */
 
 /** Lines of the ground on each side of its middle. */
 const GROUND_LINES = 5;
 const GHOST_DASH_PX = [5, 4];
 const GHOST_WIDTH_PX = 1.5;
-const READING_WIDTH_PX = 1.5;
-const READING_DOT_PX = 2.5;
+const LINE_WIDTH_PX = 1.5;
+const LINE_DOT_PX = 2.5;
 const WIDTH_LEAST_PX = 2;
 
+/** Colours of the solid figure and of the thin line. @param {Poses} poses @param {Palette} palette */
+export function coloursOf({ isRead }, palette) {
+  return isRead ? { solid: palette.reading, line: palette.plan } : { solid: palette.plan, line: palette.reading };
+}
+
 /**
- * Draw the figure in its poses: predicted solid, authored as a dashed ghost, read as a thin line.
+ * Draw the figure in its poses: one solid, authored as a dashed ghost, the other as a thin line.
  * @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Poses} poses
  * @param {Projection} to @param {Palette} palette
  */
@@ -29,22 +40,23 @@ export function drawStick(ctx, figure, poses, to, palette) {
   ctx.clearRect(0, 0, to.size.width_px, to.size.height_px);
   ctx.lineCap = "round";
   ctx.lineJoin = "round";
-  const placed = placeLinks(figure, poses.predicted);
+  const placed = placeLinks(figure, poses.solid);
+  const colours = coloursOf(poses, palette);
   const ground_mm = groundOf(figure, placed);
   drawGround(ctx, figure.reach_mm, to, palette);
   if (poses.authored !== null) {
-    ctx.strokeStyle = palette.ghost;
+    ctx.strokeStyle = palette.authored;
     ctx.lineWidth = GHOST_WIDTH_PX;
     ctx.setLineDash(GHOST_DASH_PX);
     strokeLines(ctx, figure, placeLinks(figure, poses.authored), ground_mm, to);
     ctx.setLineDash([]);
   }
-  drawSolid(ctx, figure, placed, ground_mm, to, palette);
-  if (poses.read !== null) {
-    ctx.strokeStyle = palette.reading;
-    ctx.fillStyle = palette.reading;
-    ctx.lineWidth = READING_WIDTH_PX;
-    strokeLines(ctx, figure, placeLinks(figure, poses.read), ground_mm, to, READING_DOT_PX);
+  drawSolid(ctx, figure, placed, ground_mm, to, { ...palette, solid: colours.solid });
+  if (poses.line !== null) {
+    ctx.strokeStyle = colours.line;
+    ctx.fillStyle = colours.line;
+    ctx.lineWidth = LINE_WIDTH_PX;
+    strokeLines(ctx, figure, placeLinks(figure, poses.line), ground_mm, to, LINE_DOT_PX);
   }
 }
 
@@ -53,7 +65,7 @@ export function drawStick(ctx, figure, poses, to, palette) {
  * @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to
  */
 export function segmentsOf(figure, placed, ground_mm, to) {
-  /** @type {{from: number[], to: number[], width_px: number, isThick: boolean, near: number, link: number}[]} */
+  /** @type {{from: number[], to: number[], width_px: number, isThick: boolean, near: number, link: number, shade: null | "dark" | "light"}[]} */
   const segments = [];
   figure.links.forEach((link, index) => {
     for (const line of link.lines_mm) {
@@ -66,6 +78,7 @@ export function segmentsOf(figure, placed, ground_mm, to) {
           isThick: isThick(link.width_mm, line[i - 1], line[i]),
           near: (points[i - 1][2] + points[i][2]) / 2,
           link: index,
+          shade: link.shade,
         });
       }
     }
@@ -80,20 +93,58 @@ function onScreen(placed, link, point, ground_mm, to) {
   return projected(to, at);
 }
 
-/** @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to @param {Palette} palette */
+/**
+ * Return the balls of all links as ellipses in pixels.
+ * @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to
+ */
+export function ballsOf(figure, placed, ground_mm, to) {
+  return figure.links.flatMap((link, index) => link.shapes.filter((shape) => shape.kind === "ball").map((shape) => {
+    const [x_px, y_px, near] = onScreen(placed, index, shape.origin_mm, ground_mm, to);
+    // What the three half axes of the ball cover of the screen, as a 2 x 2 matrix of moments.
+    let [xx, xy, yy] = [0, 0, 0];
+    shape.size_mm.forEach((radius_mm, axis) => {
+      const along = [0, 4, 8].map((row) => placed[index * STRIDE + row + axis]);
+      const across_px = to.px_per_mm * radius_mm * dot(along, to.right);
+      const up_px = -to.px_per_mm * radius_mm * dot(along, to.up);
+      [xx, xy, yy] = [xx + across_px * across_px, xy + across_px * up_px, yy + up_px * up_px];
+    });
+    const [middle, spread] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy)];
+    return {
+      x_px, y_px, near, shade: shape.shade, turn_rad: Math.atan2(2 * xy, xx - yy) / 2,
+      long_px: Math.sqrt(middle + spread), short_px: Math.sqrt(Math.max(middle - spread, 0)),
+    };
+  }));
+}
+
+/** @param {CanvasRenderingContext2D} ctx @param {ReturnType<typeof ballsOf>[number]} ball */
+function ballPath(ctx, ball) {
+  ctx.moveTo(ball.x_px + ball.long_px * Math.cos(ball.turn_rad), ball.y_px + ball.long_px * Math.sin(ball.turn_rad));
+  ctx.ellipse(ball.x_px, ball.y_px, ball.long_px, ball.short_px, ball.turn_rad, 0, 2 * Math.PI);
+}
+
+/** @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to @param {Palette & { solid: string }} palette */
 function drawSolid(ctx, figure, placed, ground_mm, to, palette) {
-  for (const segment of segmentsOf(figure, placed, ground_mm, to)) {
-    ctx.lineCap = segment.isThick ? "butt" : "round";
-    // An edge around each bar, so that bars in front of each other can be told apart.
-    for (const [style, grow_px] of /** @type {[string, number][]} */ ([
-      [palette.edge, 2],
-      [palette.solid, 0],
-    ])) {
-      ctx.strokeStyle = style;
-      ctx.lineWidth = segment.width_px + grow_px;
+  const parts = [...segmentsOf(figure, placed, ground_mm, to), ...ballsOf(figure, placed, ground_mm, to)];
+  // An edge around each part, so that parts in front of each other can be told apart.
+  for (const part of parts.sort((one, two) => one.near - two.near)) {
+    const shade = part.shade === null ? palette.solid : palette[part.shade];
+    if ("long_px" in part) {
+      ctx.fillStyle = shade;
+      ctx.strokeStyle = palette.edge;
+      ctx.lineWidth = 1;
       ctx.beginPath();
-      ctx.moveTo(segment.from[0], segment.from[1]);
-      ctx.lineTo(segment.to[0], segment.to[1]);
+      ballPath(ctx, part);
+      ctx.fill();
+      ctx.stroke();
+      continue;
+    }
+    ctx.lineCap = part.isThick ? "butt" : "round";
+    for (const [style, grow_px] of /** @type {[string, number][]} */ ([[palette.edge, 2], [shade, 0]])) {
+      ctx.strokeStyle = style;
+      ctx.lineWidth = part.width_px + grow_px;
+      ctx.beginPath();
+      ctx.moveTo(part.from[0], part.from[1]);
+      ctx.lineTo(part.to[0], part.to[1]);
       ctx.stroke();
     }
   }
@@ -102,7 +153,7 @@ function drawSolid(ctx, figure, placed, ground_mm, to, palette) {
   figure.links.forEach((link, index) => {
     const line = link.lines_mm[0];
     if (link.joint === null || line === undefined) return;
-    if (isThick(link.width_mm, line[0], line[1])) return;
+    if (link.shapes.length > 0 || isThick(link.width_mm, line[0], line[1])) return;
     const [x_px, y_px] = onScreen(placed, index, [0, 0, 0], ground_mm, to);
     ctx.beginPath();
     ctx.arc(x_px, y_px, Math.max(1.5, 0.22 * link.width_mm * to.px_per_mm), 0, 2 * Math.PI);
@@ -118,6 +169,7 @@ function strokeLines(ctx, figure, placed, ground_mm, to, dot_px = 0) {
     ctx.moveTo(segment.from[0], segment.from[1]);
     ctx.lineTo(segment.to[0], segment.to[1]);
   }
+  for (const ball of ballsOf(figure, placed, ground_mm, to)) ballPath(ctx, ball);
   ctx.stroke();
   if (dot_px === 0) return;
   ctx.beginPath();
@@ -170,7 +222,7 @@ export class StickFigure {
   draw(poses, palette, size, ratio) {
     const ctx = this.canvas.getContext("2d");
     if (ctx === null) return;
-    this.#cloud = cloudOf(this.figure, [poses.predicted, poses.authored], this.#cloud, true);
+    this.#cloud = cloudOf(this.figure, [poses.solid, poses.authored], this.#cloud, true);
     const [width, height] = [Math.round(size.width_px * ratio), Math.round(size.height_px * ratio)];
     if (this.canvas.width !== width || this.canvas.height !== height) {
       this.canvas.width = width;

@@ -30,7 +30,7 @@ export function RobotPage({ store, link, actions }) {
     live=${live.state === "playing" ? { ...live, joints: played } : live}
     health=${live.state === "off" ? {} : (state.health?.joints ?? {})}
     isMine=${state.lease.is_mine}
-    isLatched=${state.player.is_latched}
+    isLatched=${state.player.latch !== null}
     isLost=${state.link.status !== "open"}
     scanned=${state.scanned}
     maintenance=${state.maintenance ?? null}

@@ -13,11 +13,15 @@ export const REPEAT_MS = 100;
 /** Keys that hold a jog button which has the focus. */
 const HOLD_KEYS = new Set([" ", "Enter"]);
 
-/** @typedef {(joint: string, speed_ratio: number) => void} Request */
+/** Keys that turn a joint whose slider has the focus, while they are held. @type {Record<string, number>} */
+const TURN_KEYS = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 };
+
+/** @typedef {{ speed_ratio: number, to_deg?: number }} Wish where to: by the sign, or to an angle */
+/** @typedef {(joint: string, wish: Wish) => void} Request */
 
 /** The one joint that turns now, and the repetition of its request. */
 export class JogHold {
-  /** @type {{joint: string, speed_ratio: number} | null} */
+  /** @type {(Wish & {joint: string}) | null} */
   #held = null;
   /** @type {number | undefined} */
   #timer = undefined;
@@ -38,15 +42,24 @@ export class JogHold {
     return this.#held?.joint ?? null;
   }
 
-  /** @param {string} joint @param {number} speed_ratio -1 to 1 */
-  start(joint, speed_ratio) {
+  /** @param {string} joint @param {number} speed_ratio -1 to 1 @param {number} [to_deg] not beyond this angle */
+  start(joint, speed_ratio, to_deg) {
     this.stop();
-    this.#held = { joint, speed_ratio };
-    this.request(joint, speed_ratio);
-    this.#timer = window.setInterval(() => {
-      if (this.#held !== null) this.request(this.#held.joint, this.#held.speed_ratio);
-    }, REPEAT_MS);
+    this.#held = to_deg === undefined ? { joint, speed_ratio } : { joint, speed_ratio, to_deg };
+    this.#repeat();
+    this.#timer = window.setInterval(() => this.#repeat(), REPEAT_MS);
     this.changed(joint);
+  }
+
+  /** Turn the held joint to another angle. @param {number} to_deg */
+  aim(to_deg) {
+    if (this.#held !== null) this.#held.to_deg = to_deg;
+  }
+
+  #repeat() {
+    if (this.#held === null) return;
+    const { joint, ...wish } = this.#held;
+    this.request(joint, wish);
   }
 
   /** End the hold; the joint brakes. */
@@ -55,7 +68,7 @@ export class JogHold {
     window.clearInterval(this.#timer);
     const { joint } = this.#held;
     this.#held = null;
-    this.request(joint, 0);
+    this.request(joint, { speed_ratio: 0 });
     this.changed(null);
   }
 
@@ -114,5 +127,55 @@ export function holdHandlers(hold, joint, speedRatio) {
     onBlur: end,
     /** @param {Event} event */
     onContextMenu: (event) => event.preventDefault(), // A long touch is a hold here.
+  };
+}
+
+/**
+ * Return the handlers of a slider: the joint follows the pointer while that is pressed, at the speed
+ * that is chosen, and stops where it is when the pointer lets go.
+ * @param {JogHold} hold @param {string} joint @param {number[]} range_deg @param {() => number} speedRatio above 0
+ */
+export function dragHandlers(hold, joint, range_deg, speedRatio) {
+  const [low, high] = range_deg;
+  /** @param {PointerEvent} event */
+  const degAt = (event) => {
+    const box = /** @type {HTMLElement} */ (event.currentTarget).getBoundingClientRect();
+    const share = Math.min(Math.max((event.clientX - box.left) / Math.max(box.width, 1), 0), 1);
+    return Math.round(10 * (low + share * (high - low))) / 10;
+  };
+  const end = () => {
+    if (hold.joint === joint) hold.stop();
+  };
+  return {
+    /** @param {PointerEvent} event */
+    onPointerDown: (event) => {
+      if (event.button !== 0) return;
+      const slider = /** @type {HTMLElement} */ (event.currentTarget);
+      slider.focus();
+      slider.setPointerCapture(event.pointerId);
+      hold.start(joint, speedRatio(), degAt(event));
+    },
+    /** @param {PointerEvent} event */
+    onPointerMove: (event) => {
+      if (hold.joint === joint && event.buttons !== 0) hold.aim(degAt(event));
+    },
+    onPointerUp: end,
+    onPointerCancel: end,
+    onLostPointerCapture: end,
+    /** @param {KeyboardEvent} event */
+    onKeyDown: (event) => {
+      const sign = TURN_KEYS[event.key];
+      if (sign === undefined || event.ctrlKey || event.altKey || event.metaKey) return;
+      event.preventDefault();
+      event.stopPropagation();
+      if (!event.repeat) hold.start(joint, sign * speedRatio());
+    },
+    /** @param {KeyboardEvent} event */
+    onKeyUp: (event) => {
+      if (event.key in TURN_KEYS) end();
+    },
+    onBlur: end,
+    /** @param {Event} event */
+    onContextMenu: (event) => event.preventDefault(),
   };
 }

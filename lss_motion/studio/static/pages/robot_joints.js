@@ -2,7 +2,8 @@
 /** The joints of the robot page: limits with the angle now, jog buttons, health, limp and hold. */
 
 import { html, useMemo } from "../vendor/preact.js";
-import { holdHandlers } from "./robot_jog.js";
+import { number } from "../numbers.js";
+import { dragHandlers, holdHandlers } from "./robot_jog.js";
 
 /** @typedef {import("./robot_view.js").JointView} JointView */
 /** @typedef {import("./robot_view.js").JointHealth} JointHealth */
@@ -10,6 +11,8 @@ import { holdHandlers } from "./robot_jog.js";
 
 /** A joint nearer to the end of its range than this share of it is marked. */
 const NEAR_END_RATIO = 0.03;
+/** A horn at the end of its range is read some tenths of a degree beyond: steps of 0.1° and noise. */
+const NOISE_DEG = 0.5;
 
 /**
  * Return where an angle is on the strip of a joint, 0 to 1, and whether it is near or beyond an end.
@@ -18,19 +21,18 @@ const NEAR_END_RATIO = 0.03;
 export function placeOnStrip(range_deg, deg) {
   const [low, high] = range_deg;
   const share = (deg - low) / (high - low);
-  const isOutside = share < 0 || share > 1;
+  const beyond_deg = Math.max(low - deg, deg - high);
   return {
     share: Math.min(Math.max(share, 0), 1),
-    isNear: !isOutside && Math.min(share, 1 - share) < NEAR_END_RATIO,
-    isOutside,
+    isNear: beyond_deg <= NOISE_DEG && Math.min(share, 1 - share) < NEAR_END_RATIO,
+    isOutside: beyond_deg > NOISE_DEG,
   };
 }
 
 /** @param {number | null | undefined} value @param {number} places @param {string} unit */
 export function shown(value, places, unit) {
-  return typeof value === "number" && Number.isFinite(value)
-    ? `${value.toFixed(places)}${unit === "°" ? "" : "\u00a0"}${unit}`
-    : "–";
+  const text = number(value, places);
+  return text === "–" ? text : `${text}${unit === "°" ? "" : "\u00a0"}${unit}`;
 }
 
 /**
@@ -69,10 +71,10 @@ export function JointTable(props) {
     <thead>
       <tr>
         <th scope="col">Joint</th>
-        <th scope="col">Within its limits</th>
+        <th scope="col">${props.mayMove ? "Drag to turn" : "Within its limits"}</th>
         <th scope="col" class="robot-number">Angle</th>
         <th scope="col">Jog (hold)</th>
-        <th scope="col">Servo</th>
+        <th scope="col">Servo, as read</th>
         <th scope="col">Power</th>
       </tr>
     </thead>
@@ -93,7 +95,7 @@ function JointRow({ joint, live, health, mayMove, why, held, hold, speed_ratio, 
     <th scope="row">
       ${joint.name}<small>${joint.model} · id ${joint.id}${joint.bus === "main" ? "" : ` · ${joint.bus}`}</small>
     </th>
-    <td><${LimitStrip} joint=${joint} deg=${deg} /></td>
+    <td><${LimitStrip} ...${{ joint, deg, hold, speed_ratio, mayMove, held }} /></td>
     <td class="robot-number robot-angle">${shown(deg, 1, "°")}</td>
     <td class="robot-jog">
       <${JogButton} joint=${joint.name} sign=${-1} ...${{ hold, speed_ratio, mayMove, why, held }} />
@@ -115,29 +117,35 @@ function JointRow({ joint, live, health, mayMove, why, held, hold, speed_ratio, 
   </tr>`;
 }
 
-/** @param {{joint: JointView, deg: number | null}} props */
-function LimitStrip({ joint, deg }) {
+/** Where a joint is within its limits; where it may be moved, a slider that turns it while it is held.
+ * @param {any} props */
+function LimitStrip({ joint, deg, hold, speed_ratio, mayMove, held }) {
   const [low, high] = joint.range_deg;
   const place = deg === null ? null : placeOnStrip(joint.range_deg, deg);
   const word = place?.isOutside ? "outside of its limits" : place?.isNear ? "near its limit" : "";
-  const at = deg === null ? "angle unknown" : `${deg.toFixed(1)}° ${word}`;
+  const at = deg === null ? "angle unknown" : `${number(deg, 1)}° ${word}`;
   const zero = low < 0 && high > 0 ? placeOnStrip(joint.range_deg, 0).share : null;
-  return html`<div
-    class="robot-strip ${place?.isOutside ? "is-outside" : place?.isNear ? "is-near" : ""}"
-    role="meter"
-    aria-label=${`${joint.name} within its limits`}
-    aria-valuemin=${low}
-    aria-valuemax=${high}
-    aria-valuenow=${deg === null ? low : Math.min(Math.max(deg, low), high)}
-    aria-valuetext=${at.trim()}
-  >
-    <span class="robot-strip-end">${low}</span>
-    <span class="robot-strip-bar">
+  const speed = useMemo(() => ({ ratio: 0 }), []);
+  speed.ratio = speed_ratio;
+  const handlers = useMemo(() => dragHandlers(hold, joint.name, joint.range_deg, () => speed.ratio), [hold, joint]);
+  return html`<div class="robot-strip ${place?.isOutside ? "is-outside" : place?.isNear ? "is-near" : ""} ${mayMove ? "is-slider" : ""}">
+    <span class="robot-strip-end">${number(low, 0)}</span>
+    <span
+      class="robot-strip-reach"
+      role=${mayMove ? "slider" : "meter"}
+      tabindex=${mayMove ? 0 : undefined}
+      aria-label=${mayMove ? `${joint.name}: turns there while it is held` : `${joint.name} within its limits`}
+      aria-valuemin=${low}
+      aria-valuemax=${high}
+      aria-valuenow=${deg === null ? low : Math.min(Math.max(deg, low), high)}
+      aria-valuetext=${at.trim()}
+      ...${mayMove ? handlers : {}}
+    ><span class="robot-strip-bar">
       ${zero === null ? null : html`<i class="robot-strip-zero" style=${{ left: `${100 * zero}%` }}></i>`}
-      ${place === null ? null : html`<i class="robot-strip-mark" style=${{ left: `${100 * place.share}%` }}></i>`}
-    </span>
-    <span class="robot-strip-end">${high}</span>
-    <span class="robot-strip-word">${word}</span>
+      ${place === null ? null : html`<i class="robot-strip-mark ${held === joint.name ? "is-held" : ""}" style=${{ left: `${100 * place.share}%` }}></i>`}
+    </span></span>
+    <span class="robot-strip-end">${number(high, 0)}</span>
+    ${word === "" ? null : html`<span class="robot-strip-word">${word}</span>`}
   </div>`;
 }
 
@@ -160,11 +168,13 @@ function JogButton({ joint, sign, hold, speed_ratio, mayMove, why, held }) {
 
 /** @param {{health: JointHealth | undefined, trouble: string}} props */
 function ServoHealth({ health, trouble }) {
-  if (health === undefined) return html`<span class="robot-quiet">not read</span>`;
+  const isRead = health !== undefined && [health.temperature_c, health.voltage_v, health.current_a, health.status].some((one) => one !== null);
+  if (!isRead) return html`<span class="robot-quiet">not read</span>`;
   return html`<span class="robot-health">
     <span>${shown(health.temperature_c, 0, "°C")}</span>
     <span>${shown(health.voltage_v, 1, "V")}</span>
     <span>${shown(health.current_a, 2, "A")}</span>
-    <span class=${trouble ? "robot-trouble" : "robot-quiet"}>${trouble ? `⚠ ${trouble}` : health.status ?? ""}</span>
+    ${health.error_deg == null ? null : html`<span>${shown(health.error_deg, 1, "°")} off</span>`}
+    <span class=${trouble ? "robot-trouble" : "robot-quiet"}>${trouble ? `⚠ ${trouble}` : (health.status ?? "").replaceAll("_", " ")}</span>
   </span>`;
 }

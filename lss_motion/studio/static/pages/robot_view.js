@@ -22,7 +22,7 @@ import { PoseList } from "./robot_poses.js";
  * @property {number} [temperature_max_c]
  * @property {number} [voltage_min_v]
  */
-/** @typedef {{status: string | null, temperature_c: number | null, voltage_v: number | null, current_a: number | null}} JointHealth */
+/** @typedef {{status: string | null, temperature_c: number | null, voltage_v: number | null, current_a: number | null, error_deg?: number | null}} JointHealth */
 /**
  * @typedef {object} RobotJson
  * @property {string} name
@@ -62,7 +62,7 @@ const STATES = {
   off: "not connected",
   connecting: "connecting …",
   live: "connected",
-  playing: "playing a show",
+  playing: "in the hands of the show",
 };
 
 /**
@@ -111,8 +111,8 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
   };
   const hold = useMemo(
     () =>
-      new JogHold((joint, speed_ratio) => {
-        send("jog", { joint, speed_ratio }).catch((error) => {
+      new JogHold((joint, wish) => {
+        send("jog", { joint, ...wish }).catch((error) => {
           hold.stop();
           setProblem(error.message);
         });
@@ -147,7 +147,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         </button>
         <${Choice} label="jog speed" options=${Object.keys(SPEEDS).map((word) => [word, word])} chosen=${speed} choose=${setSpeed} />
       </div>
-      <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Hold + or − to turn a joint; let go to stop it."}</p>
+      <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Drag a slider, or hold + or −, to turn a joint; let go to stop it."}</p>
     </header>
     <div class="robot-side">
       <${FigureBox} robot=${robot} live=${live} schedule=${schedule} theme=${theme} />
@@ -162,6 +162,8 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         ...${{ mayMove, why, held, hold, act }}
       />
       ${scanned === null ? null : html`<${ScanResult} scanned=${scanned} />`}
+    </div>
+    <div class="robot-foot">
       <${Maintenance}
         joints=${robot.joints.map((joint) => joint.name)}
         file=${robot.file ?? "robot.yaml"}
@@ -191,7 +193,7 @@ function FigureBox({ robot, live, schedule, theme }) {
     shown.current = figure;
     return () => figure.dispose();
   }, [robot.figure]);
-  useEffect(() => shown.current?.setPose({ predicted: known }), [robot.figure, JSON.stringify(known)]);
+  useEffect(() => shown.current?.setPose({ solid: known, isRead: Object.values(known).some((deg) => deg !== null) }), [robot.figure, JSON.stringify(known)]);
   useEffect(() => shown.current?.setTheme(), [theme]);
   if (robot.figure === null) return html`<${NoFigure} robot=${robot} />`;
   const notes = robot.figure.notes.map((note) => html`<li>${note}</li>`);

@@ -2,35 +2,16 @@
 /** The Show page: made to run a show from a tablet. No way to change the file. */
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
-import { angleAt, withinView } from "../curves.js";
+import { withinView } from "../curves.js";
 import { FigurePanel } from "../figure/panel.js";
 import { onFrame } from "../frames.js";
-import { drawAngles, Joints } from "../parts/joints.js";
+import { Wellness } from "../parts/wellness.js";
+import { MOVING, stateOf } from "../states.js";
 import { timeText } from "../timeline/window.js";
 import { StageCues, StageHosts, StageNotes, StageState } from "./stage.js";
 
 /** @typedef {import("../state.js").State} State */
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
-
-/** The states of the player, as an operator says them. @type {Record<string, string>} */
-const WORDS = {
-  idle: "not started", starting: "starting", ready: "ready: waits for GO", playing: "playing",
-  paused: "paused", stopping: "stopping", ended: "ended", gone: "the player is gone",
-};
-
-/** What the player does before and between playing, by its phase. @type {Record<string, string>} */
-const STEPS = {
-  connecting: "checks the servos", preparing: "sets the servos up", approaching: "moves to the start",
-  seeking: "brakes for another place", recovering: "waits for what is missing",
-  restoring: "gives the settings back",
-};
-
-/** What the player does now, in words. @param {State} state */
-function wordOf({ player, phase, ended }) {
-  if (player.state === "ended" && ended?.outcome === "stopped") return "stopped";
-  const isBusy = player.state === "starting" || player.state === "playing";
-  return (isBusy ? STEPS[phase] : undefined) ?? WORDS[player.state] ?? player.state;
-}
 
 /** @param {Props} props */
 export function ShowPage({ state, actions, store }) {
@@ -38,52 +19,39 @@ export function ShowPage({ state, actions, store }) {
   useEffect(() => onFrame(() => {
     if (page.current !== null) drawLive(page.current, store);
   }), []);
-  return html`<main class=${`page show ${isStage(state) ? "show-stage" : ""}`} ref=${page}>
+  const isStage = state.document?.kind === "stage" || state.stage !== null;
+  return html`<main class=${`page show ${isStage ? "show-stage" : ""} ${state.theatre ? "show-theatre" : ""}`} ref=${page}>
     <section class="now" aria-label="Now">
       <${Now} state=${state} />
       <${StageState} state=${state} />
     </section>
-    <section class="card cues" aria-label="Cues"><h2>Cues</h2>${isStage(state)
+    <section class="card stand" aria-label="Figure"><${FigurePanel} store=${store} />
+      <button type="button" class="theatre-switch" aria-pressed=${state.theatre} onClick=${() => actions.run("theatre")}
+        title="F11 makes the browser fill the screen">${state.theatre ? "Back to the page" : "Figure and clock only"}</button></section>
+    <section class="card cues" aria-label="Cues"><h2>Cues</h2>${isStage
       ? html`<${StageCues} state=${state} actions=${actions} />` : html`<${Cues} state=${state} actions=${actions} />`}</section>
-    <section class="card health" aria-label=${hasHosts(state) ? "Computers and joints" : "Joints"}><${StageHosts} state=${state} /><h2>Joints</h2>
-      <div class="scroll"><${Joints} state=${state} /></div>
-      <${Lines} state=${state} />
-      ${isMany(state) || hasHosts(state) ? null : html`<div class="health-figure"><${FigurePanel} store=${store} /></div>`}
-    </section>
-    <section class="card troubles" aria-label="Warnings and faults"><h2>Warnings and faults</h2><${Troubles} state=${state} /><${StageNotes} state=${state} /></section>
+    <section class="card troubles" aria-label="Joints, warnings and faults">
+      <${StageHosts} state=${state} /><h2>Joints</h2><${Wellness} state=${state} />
+      <${Troubles} state=${state} /><${StageNotes} state=${state} /></section>
   </main>`;
 }
 
-/** Whether the file is a stage, whose cues are its own. @param {State} state */
-function isStage(state) {
-  return state.document?.kind === "stage" || state.stage !== null;
-}
-
-/** Whether several computers play together. @param {State} state */
-function hasHosts(state) {
-  return (state.stage?.hosts.length ?? 0) > 0;
-}
-
-/** Whether the joints leave the figure no room. @param {State} state */
-function isMany(state) {
-  return (state.view?.joints.length ?? 0) > 9;
+/** Whether there is a time to show: a stage that rests, or waits for its cable, plays nothing.
+ * @param {State} state */
+function hasTime(state) {
+  return state.stage === null || !["rests", "waits", "preparing", "fault"].includes(stateOf(state).name);
 }
 
 /** @param {{ state: State }} props */
 function Now({ state }) {
-  const { player, view, last_mark, waiting, rate, ended } = state;
-  const word = wordOf(state);
-  const slower = rate.ratio < 1 ? ` at ${Math.round(100 * rate.ratio)} %` : "";
-  return html`
-    <p class=${`word word-${player.state}`} role="status">${word}${player.state === "playing" ? slower : ""}
-      ${ended?.error ? html`<span class="bad-text">: ${ended.error}</span>` : null}</p>
+  const { view } = state;
+  return hasTime(state) && html`
     <p class="clock"><span data-clock>0:00.0</span>
       <span class="clock-of">${view === null ? "" : view.is_endless ? "without end" : `of ${timeText(view.duration_s ?? view.view_s, 0.1)}`}</span></p>
     <div class="progress" aria-hidden="true"><i data-progress></i>
       ${view?.marks.map((mark) => html`<b class=${mark.is_anchor ? "anchor" : ""} style=${{ left: `${(100 * mark.at_s) / view.view_s}%` }}></b>`)}</div>
-    ${waiting !== null ? html`<p class="waiting">⧗ waits for ${waiting}</p>` : null}
     <dl class="next">
-      <div><dt>now</dt><dd data-now>${last_mark?.label ?? "–"}</dd></div>
+      <div><dt>now</dt><dd data-now>–</dd></div>
       <div><dt>next</dt><dd data-next>–</dd></div>
     </dl>`;
 }
@@ -91,40 +59,40 @@ function Now({ state }) {
 /** Draw what changes with every frame. @param {Element} page @param {import("../store.js").Store} store */
 function drawLive(page, store) {
   const state = store.state.value;
-  const { view, cursor_s } = state;
-  const frame = store.telemetry.value;
+  const { view, cursor_s, player, rate } = state;
   if (view === null) return;
-  const isOver = state.player.state === "idle";
-  const show_s = frame === null || isOver ? cursor_s : frame.show_s;
+  const { name } = stateOf(state);
+  const frame = player.state === "idle" ? null : store.telemetry.value;
+  const show_s = frame === null ? cursor_s : frame.show_s;
   const at_s = withinView(view, Math.max(show_s, 0));
   put(page, "[data-clock]", timeText(show_s, 0.1));
   const bar = page.querySelector("[data-progress]");
   if (bar instanceof HTMLElement) bar.style.width = `${((100 * at_s) / view.view_s).toFixed(2)}%`;
-  const later = upcoming(view).find((one) => one.at_s > at_s);
-  put(page, "[data-next]", later === undefined ? "the end" : `${later.text} in ${(later.at_s - at_s).toFixed(1)} s`);
-  const before = view.marks.filter((mark) => mark.at_s <= at_s + 1e-3).at(-1);
-  put(page, "[data-now]", before?.label ?? "–");
+  const isRunning = ["playing", "paused", "waits", "recovering", "preparing"].includes(name);
+  const all = upcoming(view);
+  const later = isRunning ? all.find((one) => one.at_s > at_s) : undefined;
+  const present = isRunning ? all.filter((one) => one.at_s <= at_s + 1e-3).at(-1) : undefined;
+  put(page, "[data-next]", nextText(view, later, at_s, isRunning, MOVING.has(name) ? Math.max(rate.ratio, 0.01) : 0));
+  put(page, "[data-now]", present?.text ?? "–");
   for (const item of page.querySelectorAll("[data-cue]")) {
     const own_s = Number(/** @type {HTMLElement} */ (item).dataset["cue"]);
-    const cue = own_s <= at_s + 1e-3 ? "past" : own_s === later?.at_s ? "coming" : "";
-    if (item.className !== cue) {
-      item.className = cue;
-      if (cue === "coming") item.scrollIntoView({ block: "nearest" });
-    }
+    const cue = own_s === present?.at_s ? "present" : own_s === later?.at_s ? "coming" : isRunning && own_s <= at_s ? "past" : "";
+    if (item.className === cue) continue;
+    item.className = cue;
+    if (cue === "present") item.scrollIntoView({ block: "nearest" });
   }
-  if (frame !== null && !isOver && state.started !== null) drawAngles(page, frame, state.started.joints);
-  else drawAngles(page, plannedAt(view, at_s), view.joints.map((joint) => joint.name));
 }
 
-/** What the telemetry would be with nothing read. @param {import("../state.js").View} view
- * @param {number} at_s @returns {import("../state.js").Telemetry} */
-function plannedAt(view, at_s) {
-  const planned_deg = Float32Array.from(view.joints, ({ name }) => {
-    const plan = view.curves[name]?.plan;
-    return plan === undefined ? NaN : angleAt(plan, at_s);
-  });
-  const read_deg = new Float32Array(planned_deg.length).fill(NaN);
-  return { plan: view.plan, show_s: at_s, rate: 1, planned_deg, predicted_deg: planned_deg, read_deg };
+/**
+ * What comes next, in how long while the show moves on; nothing where nothing runs.
+ * @param {import("../state.js").View} view @param {{ at_s: number, text: string } | undefined} later
+ * @param {number} at_s @param {boolean} isRunning @param {number} ratio speed of the show, 0: it stands
+ */
+function nextText(view, later, at_s, isRunning, ratio) {
+  if (!isRunning) return "–";
+  const to_s = later?.at_s ?? view.view_s;
+  const text = later?.text ?? (view.is_endless ? "again from the start" : "the end");
+  return ratio > 0 ? `${text} in ${((to_s - at_s) / ratio).toFixed(1)} s` : text;
 }
 
 /** @param {Element} page @param {string} place @param {string} text */
@@ -158,8 +126,7 @@ function upcoming(view) {
 function Cues({ state, actions }) {
   const { view, player } = state;
   if (view === null) {
-    const isRobot = state.document?.kind === "robot";
-    return html`<p class="muted">${isRobot ? "A robot file has no show: open a sequence, a gait or a play list. The Robot page moves this robot." : "No plan yet."}</p>`;
+    return html`<p class="muted">${whyNoPlan(state)}</p>`;
   }
   const found = upcoming(view);
   const canSeek = player.state === "playing" || player.state === "paused";
@@ -170,24 +137,17 @@ function Cues({ state, actions }) {
     ${canSeek ? html`<button type="button" class="plain" aria-label=${`Go to ${cue.text}`} onClick=${() => actions.seek(cue.at_s)}>go to</button>` : null}</li>`)}</ol>`;
 }
 
-/** @param {{ state: State }} props */
-function Lines({ state }) {
-  const { health, view } = state;
-  const buses = Object.keys(health?.buses ?? view?.line ?? {});
-  return html`<dl class="lines">${buses.map((bus) => {
-    const own = health?.buses[bus];
-    const use = own?.use_ratio ?? view?.line[bus]?.mean_ratio ?? 0;
-    return html`<div key=${bus}><dt>line ${bus}</dt><dd>
-      <span class="meter" role="meter" aria-label=${`use of line ${bus}`} aria-valuemin="0" aria-valuemax="100" aria-valuenow=${Math.round(100 * use)}>
-        <i style=${{ width: `${Math.min(100 * use, 100)}%` }}></i></span>
-      ${Math.round(100 * use)} %${own ? `, ${own.replies_hz.toFixed(0)} replies/s` : " planned"}</dd></div>`;
-  })}
-  ${health ? html`<div><dt>late</dt><dd>${(health.late_us / 1000).toFixed(1)} ms worst${health.missed > 0 ? `, ${health.missed} missed` : ""}</dd></div>` : null}</dl>`;
+/** Why there is nothing to show, and what to do. @param {State} state */
+export function whyNoPlan({ document: own }) {
+  if (own === null || own.is_planning) return "The file is being planned…";
+  if (own.kind === "robot") return "This is a robot file, which has no show. Open a sequence, a gait or a play list; the Robot page moves this robot.";
+  if (own.errors.length > 0) return "There is no plan: the file has an error, which stands above.";
+  return "There is no plan yet.";
 }
 
 /** @param {{ state: State }} props */
 function Troubles({ state }) {
-  if (state.trouble.length === 0) return html`<p class="muted">None.</p>`;
+  if (state.trouble.length === 0) return null;
   const signs = { fault: "■", warning: "▲", note: "•" };
   return html`<ul class="scroll trouble-list" aria-live="polite">${state.trouble.map((one) => html`
     <li key=${one.number} class=${one.kind}><span class="sign" aria-hidden="true">${signs[one.kind]}</span>

@@ -5,26 +5,20 @@ import { html } from "../vendor/preact.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
 
-/** The states of a stage, as an operator says them. @type {Record<string, string>} */
-const WORDS = {
-  waits_for_port: "waits for the robot", connecting: "checks the servos", idle: "idle",
-  plays: "plays", rests: "rests", given_up: "given up after faults",
-};
-
-/** What the stage does now, and what comes. @param {{ state: import("../state.js").State }} props */
+/** What is on and why, and what waits. The state is at the head. @param {{ state: import("../state.js").State }} props */
 export function StageState({ state }) {
   const own = state.stage;
   if (own === null) return null;
+  const because = own.cause === "" || own.reasons.length > 0 ? "" : own.cause === "idle" ? "nothing else plays" : `cue ${own.cause}`;
+  const fired = own.cues.reduce((sum, cue) => sum + cue.fired, 0);
   const rows = [
-    ["show", own.show ?? "none"], ["because of", own.cause], ["beside it", own.added.join(", ")],
-    ["queue", own.queue.join(", ")], ["to be resumed", own.left.join(", ")],
-    ["rests because", own.reasons.join("; ")],
+    ["on", own.show ?? "nothing"], ["because", because], ["beside it", own.added.join(", ")],
+    ["queue", own.queue.join(", ")], ["resumed later", own.left.join(", ")],
     ["timecode", own.timecode == null ? "" : timecodeText(own.timecode)],
-  ].filter(([name, text]) => text !== "" || name === "show");
-  return html`<div class="stage-state" role="status" aria-label="Stage">
-    <p class=${`stage-word stage-${own.state}`}>${WORDS[own.state] ?? own.state}</p>
-    <dl class="lines">${rows.map(([name, text]) => html`<div key=${name}><dt>${name}</dt><dd>${text}</dd></div>`)}</dl>
-  </div>`;
+    ["so far", fired === 0 ? "no cue has fired" : own.cues.filter((cue) => cue.fired > 0).map((cue) => `${cue.name} ${cue.fired}×`).join(", ")],
+    ["last", state.notes[0]?.text ?? ""],
+  ].filter(([, text]) => text !== "");
+  return html`<dl class="stage-state" aria-label="Stage">${rows.map(([name, text]) => html`<div key=${name}><dt>${name}</dt><dd>${text}</dd></div>`)}</dl>`;
 }
 
 /** The timecode in a line. @param {import("../state.js").StageTimecode} timecode */
@@ -34,26 +28,31 @@ function timecodeText({ state, source, at, rate, show, off_ms }) {
   return `${at} ${state.replace("_", " ")}${runs}, ${source}${show === null ? "" : `; the show ${show}${off}`}`.trim();
 }
 
-/** The cue list. A cue fires by its button, whatever it waits for. @param {Props} props */
+/** The cues, each a large button: one fires by it, whatever it waits for. @param {Props} props */
 export function StageCues({ state, actions }) {
   const own = state.stage;
-  if (own === null) return html`<p class="muted">The stage does not run. START begins it.</p>`;
+  if (own === null) {
+    return html`<p class="muted">${state.document?.kind === "stage" && state.document.plan !== null
+      ? "The stage does not run. START begins it." : "This is a stage: many shows on cues. Its shows are being planned…"}</p>`;
+  }
   const isResting = own.state === "rests" || own.state === "given_up";
-  return html`<div class="stage-cues">
-    <p class="stage-head">
+  return html`<div class="stage-head">
       <button type="button" onClick=${() => actions.stage(isResting ? "stage.wake" : "stage.rest")}>${isResting ? "Wake" : "Rest"}</button>
-    </p>
-    <ol class="scroll cue-list">${own.cues.map((cue) => html`
-      <li key=${cue.name} class=${cue.name === own.next_go ? "coming" : cue.is_enabled ? "" : "past"} data-stage-cue=${cue.name}>
-        <button type="button" class="fire" aria-label=${`Fire ${cue.name}`} onClick=${() => actions.cue(cue.name)}>▶</button>
-        <span class="cue-text"><strong>${cue.name}</strong> <span class="muted">${cue.on} → ${cue.plays}</span>
-          ${cue.refused === "" ? null : html`<span class="refused">✕ ${cue.refused}</span>`}</span>
-        <span class="number" aria-label=${`${cue.fired} times`}>${cue.fired}×</span>
-        <button type="button" class="plain" aria-label=${`Next on GO: ${cue.name}`} disabled=${cue.name === own.next_go}
-          onClick=${() => actions.stage("arm", { cue: cue.name })}>next</button>
-        <label class="enable"><input type="checkbox" role="switch" aria-label=${`${cue.name} can fire`} checked=${cue.is_enabled}
-          onChange=${() => actions.stage("enable", { cue: cue.name, is_enabled: !cue.is_enabled })} /> on</label>
-      </li>`)}</ol></div>`;
+    </div>
+    <ol class="scroll stage-cues">${own.cues.map((cue) => {
+      const isOn = cue.name === own.cause;
+      const isNext = cue.name === own.next_go;
+      return html`<li key=${cue.name} class=${isOn ? "present" : isNext ? "coming" : cue.is_enabled ? "" : "past"} data-stage-cue=${cue.name}>
+        <button type="button" class="fire" aria-label=${`Fire ${cue.name}`} onClick=${() => actions.cue(cue.name)}>
+          <strong>${isOn ? "▶ " : ""}${cue.name}</strong><span>${cue.plays}</span></button>
+        <span class="cue-when">${cue.is_enabled ? cue.when : `off: ${cue.when}`}${cue.fired === 0 ? "" : ` · ${cue.fired}×`}</span>
+        ${cue.refused === "" ? null : html`<span class="refused">✕ ${cue.refused}</span>`}
+        <span class="cue-choices"><label class="enable"><input type="checkbox" role="switch" aria-label=${`${cue.name} can fire`} checked=${cue.is_enabled}
+          onChange=${() => actions.stage("enable", { cue: cue.name, is_enabled: !cue.is_enabled })} /> may fire</label>
+        <button type="button" class="plain" aria-label=${`Next on GO: ${cue.name}`} disabled=${isNext}
+          onClick=${() => actions.stage("arm", { cue: cue.name })}>${isNext ? "next on GO" : "make next"}</button></span>
+      </li>`;
+    })}</ol>`;
 }
 
 /** Every computer of a stage with figures. STOP at the foot is for all of them.

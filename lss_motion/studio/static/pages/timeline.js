@@ -4,9 +4,12 @@
 import { html, useEffect, useRef } from "../vendor/preact.js";
 import { angleAt, valueAt } from "../curves.js";
 import { Mirror } from "../mirror.js";
+import { number } from "../numbers.js";
 import { FigurePanel } from "../figure/panel.js";
 import { TimelineBoard } from "../timeline/board.js";
+import { FileLine } from "../parts/text.js";
 import { timeText } from "../timeline/window.js";
+import { whyNoPlan } from "./show.js";
 
 /** @typedef {import("../state.js").State} State */
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
@@ -18,7 +21,7 @@ export function TimelinePage({ state, actions, store }) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
   useEffect(() => {
     if (place.current === null) return undefined;
-    const board = new TimelineBoard(place.current, store);
+    const board = new TimelineBoard(place.current, store, () => actions.run("shows_only"));
     actions.board = board;
     return () => {
       actions.board = null;
@@ -33,7 +36,7 @@ export function TimelinePage({ state, actions, store }) {
       <${Mirror} state=${state} actions=${actions} />
     </section>
     <aside class="side">
-      <section class="card" aria-label="Figure"><${FigurePanel} store=${store} /></section>
+      <section class="card" aria-label="Figure"><${FigurePanel} store=${store} isSought /></section>
       <section class="card about" aria-label="What is chosen" aria-live="polite"><${About} state=${state} actions=${actions} /></section>
     </aside>
   </main>`;
@@ -68,10 +71,10 @@ function Legend({ state }) {
 /** What is chosen, in words. @param {{ state: State, actions: import("../actions.js").Actions }} props */
 function About({ state, actions }) {
   const { view, selection } = state;
-  if (view === null) return html`<p class="muted">${state.document?.is_planning ? "Planning…" : "No plan yet."}</p>`;
+  if (view === null) return html`<p class="muted">${whyNoPlan(state)}</p>`;
   if (selection?.kind === "key") {
     const key = view.lanes[selection.lane]?.keys[selection.key];
-    return key === undefined ? null : html`<${AboutKey} view=${view} own=${key} lane=${view.lanes[selection.lane]} />`;
+    return key === undefined ? null : html`<${AboutKey} view=${view} own=${key} lane=${view.lanes[selection.lane]} actions=${actions} />`;
   }
   if (selection?.kind === "span") {
     const span = view[selection.list][selection.index];
@@ -81,18 +84,18 @@ function About({ state, actions }) {
   return html`<${AboutPlan} state=${state} actions=${actions} />`;
 }
 
-/** @param {{ view: import("../state.js").View, own: import("../state.js").Key, lane: import("../state.js").Lane | undefined }} props */
-function AboutKey({ view, own, lane }) {
+/** @param {{ view: import("../state.js").View, own: import("../state.js").Key, lane: import("../state.js").Lane | undefined, actions: import("../actions.js").Actions }} props */
+function AboutKey({ view, own, lane, actions }) {
   const late_s = own.authored_s === null ? 0 : own.at_s - own.authored_s;
   return html`<h2>${own.is_anchor ? "Anchor" : "Key"} ${own.label}</h2>
     <p>at ${timeText(own.at_s, 0.001)}${Math.abs(late_s) > 5e-4 ? html`, <strong class="warn-text">${late_s.toFixed(3)} s later than authored</strong>` : null}
-      ${own.line === null ? "" : html`, line ${own.line}`}, ${lane?.kind} ${lane?.name}, ease ${own.ease}${own.hold_s > 0 ? `, held ${own.hold_s.toFixed(2)} s` : ""}</p>
+      ${own.line === null || !lane?.file ? "" : html`, <${FileLine} actions=${actions} file=${lane.file} line=${own.line} />`}, ${lane?.kind} ${lane?.name}, ease ${own.ease}${own.hold_s > 0 ? `, held ${own.hold_s.toFixed(2)} s` : ""}</p>
     <table class="small"><thead><tr><th>joint</th><th>key</th><th>plan</th><th>deg/s</th></tr></thead><tbody>
       ${Object.entries(own.deg).map(([joint, deg]) => {
         const curve = view.curves[joint]?.plan;
         if (curve === undefined) return null;
-        return html`<tr key=${joint}><th scope="row">${joint}</th><td class="number">${deg}</td>
-          <td class="number">${angleAt(curve, own.at_s).toFixed(2)}</td><td class="number">${valueAt(curve, own.at_s, 1).toFixed(1)}</td></tr>`;
+        return html`<tr key=${joint}><th scope="row">${joint}</th><td class="number">${lane?.is_added && deg > 0 ? "+" : ""}${String(deg).replace("-", "−")}</td>
+          <td class="number">${number(angleAt(curve, own.at_s), 2)}</td><td class="number">${number(valueAt(curve, own.at_s, 1), 1)}</td></tr>`;
       })}</tbody></table>`;
 }
 

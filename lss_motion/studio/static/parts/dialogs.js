@@ -1,9 +1,10 @@
 // @ts-check
 /** Every question, and help: STOP works above them, by key and by the buttons. */
 
-import { html, useEffect, useRef } from "../vendor/preact.js";
+import { html, useLayoutEffect, useRef } from "../vendor/preact.js";
 import { KEYMAP, STOP_KEYS } from "../keymap.js";
 import { Choice } from "./choice.js";
+import { FileText } from "./text.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
 
@@ -13,6 +14,10 @@ export function Dialogs({ state, actions }) {
   if (dialog === null) return null;
   const close = () => actions.set({ dialog: null });
   if (dialog.kind === "help") return html`<${Box} title="Keys" close=${close}><${Help} /></${Box}>`;
+  if (dialog.kind === "text") {
+    const file = dialog.file ?? "";
+    return html`<${Box} title=${file} close=${close}><${FileText} file=${file} line=${dialog.line ?? null} /></${Box}>`;
+  }
   if (dialog.kind === "pairing" && state.pairing !== null) {
     return html`<${Box} title="Pair another device" close=${close}><${Pairing} pairing=${state.pairing} actions=${actions} /></${Box}>`;
   }
@@ -26,7 +31,7 @@ export function Dialogs({ state, actions }) {
  */
 function Box({ title, close, yes, run, children }) {
   const box = useRef(/** @type {HTMLDialogElement | null} */ (null));
-  useEffect(() => {
+  useLayoutEffect(() => {
     const before = document.activeElement;
     box.current?.querySelector("button")?.focus({ preventScroll: true });
     return () => { if (before instanceof HTMLElement) before.focus(); };

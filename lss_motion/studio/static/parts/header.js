@@ -1,7 +1,9 @@
 // @ts-check
-/** The head of every page: what is open, the pages, who operates, and what is wrong with the link. */
+/** The head of every page: what is open, the pages, who operates, the state, and what is wrong. */
 
 import { html } from "../vendor/preact.js";
+import { stateOf } from "../states.js";
+import { FileLine } from "./text.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
 
@@ -12,12 +14,8 @@ export function Header({ state, actions }) {
   const own = state.document;
   return html`<header class="head">
     <div class="head-title">
-      <strong>${own?.title ?? state.welcome?.title ?? "studio"}</strong>
-      <span class="muted">${own?.file ?? ""}</span>
-      ${own?.is_planning ? html`<span class="chip chip-busy" role="status">planning…</span>` : null}
-      ${own && own.errors.length > 0 ? html`<span class="chip chip-bad">▲ ${own.errors.length === 1 ? "1 error" : `${own.errors.length} errors`} in the file</span>` : null}
-      ${own && !own.is_current && !own.is_planning && own.plan ? html`<span class="chip chip-warn">◆ the last good plan is shown</span>` : null}
-      ${state.robot_state?.is_simulated ? html`<span class="chip">simulated robot</span>` : null}
+      <strong class="name" title=${own?.title ?? ""}>${own?.title ?? state.welcome?.title ?? "studio"}</strong>
+      <span class="muted name" title=${own?.file ?? ""}>${own?.file ?? ""}</span>
     </div>
     <nav role="tablist" aria-label="Pages">
       ${PAGES.map(([page, name]) => html`<button role="tab" type="button" class="tab" aria-selected=${state.page === page}
@@ -29,7 +27,22 @@ export function Header({ state, actions }) {
         aria-label=${state.theme === "dark" ? "Light theme" : "Dark theme"}>${state.theme === "dark" ? "☀" : "☾"}</button>
       <button type="button" class="plain" onClick=${() => actions.run("help")} aria-label="Keys">?</button>
     </div>
+    <div class="head-state"><${StateLine} state=${state} />
+      <span class="chips">
+        ${own?.is_planning ? html`<span class="chip chip-busy" role="status">planning…</span>` : null}
+        ${own && own.errors.length > 0 ? html`<span class="chip chip-bad">▲ ${own.errors.length === 1 ? "1 error" : `${own.errors.length} errors`} in the file</span>` : null}
+        ${own && !own.is_current && !own.is_planning && own.plan ? html`<span class="chip chip-warn">◆ the last good plan is shown</span>` : null}
+        ${state.robot_state?.is_simulated ? html`<span class="chip">simulated robot</span>` : null}
+      </span></div>
   </header>`;
+}
+
+/** The state in its word and its colour, and what a person needs to know besides.
+ * @param {{ state: import("../state.js").State }} props */
+export function StateLine({ state }) {
+  const { name, word, tone, sign, detail } = stateOf(state);
+  return html`<p class=${`state tone-${tone}`} role="status" data-state=${name}><span class="state-sign" aria-hidden="true">${sign}</span>
+    <span class="word">${word}</span>${detail === "" ? null : html`<span class="state-detail">${detail}</span>`}</p>`;
 }
 
 /** Who operates. @param {Props} props */
@@ -40,7 +53,7 @@ function Operator({ state, actions }) {
   const pair = welcome.role === "edit"
     ? html`<button type="button" class="plain" onClick=${() => actions.pair("operate")}>Pair a tablet</button>` : null;
   if (lease.is_mine) {
-    return html`<span class="operator"><span class="chip chip-good">● you operate${watching}</span>${pair}
+    return html`<span class="operator"><span class="chip chip-busy">● you operate${watching}</span>${pair}
       <button type="button" class="plain" onClick=${() => actions.link.ask("lease", { want: "release" })}>Release</button></span>`;
   }
   const who = lease.holder === null ? "no operator" : `${lease.holder_name} operates`;
@@ -52,16 +65,26 @@ function Operator({ state, actions }) {
 /** What stands above everything else: the link, the stop that is kept, errors of the file. @param {Props} props */
 export function Banners({ state, actions }) {
   const { link, player, document: own, welcome, refusal } = state;
+  const { name, word, tone } = stateOf(state);
+  const said = word[0]?.toUpperCase() + word.slice(1);
   return html`<div class="banners">
     ${link.status === "lost" ? html`<p class="banner banner-bad" role="alert">⚠ No link: ${link.text}. What you see is old. The show goes on as it was started. STOP is still sent, by a way of its own.</p>` : null}
-    ${player.is_latched ? html`<p class="banner banner-stop" role="alert"><strong>Stopped.</strong> ${player.text || "Nothing moves before it is armed again."}
-      <button type="button" onClick=${() => actions.askRearm()}>Arm again…</button></p>` : null}
-    ${player.state === "gone" ? html`<p class="banner banner-bad" role="alert">⚠ The player is gone: ${player.text}</p>` : null}
-    ${refusal ? html`<p class="banner banner-warn" role="alert" key=${refusal.number}>✕ ${refusal.text}
+    ${player.latch !== null && name !== "no_link" ? html`<p class=${`banner banner-stop tone-${tone}`} role="alert"><strong>${said}.</strong> ${player.text === "stopped" ? "" : player.text} Nothing moves before it is armed again.
+      <button type="button" disabled=${player.state === "stopping"} onClick=${() => actions.askRearm()}>Arm again…</button></p>` : null}
+    ${name === "fault" ? html`<p class="banner banner-bad" role="alert"><strong>${said}.</strong> ${faultOf(state)}</p>` : null}
+    ${name === "player_gone" ? html`<p class="banner banner-bad" role="alert">⚠ ${said}: ${player.text}</p>` : null}
+    ${refusal ? html`<p class=${`banner ${refusal.is_hint ? "banner-note" : "banner-warn"}`} role="alert" key=${refusal.number}>${refusal.is_hint ? "" : "✕ "}${refusal.text}
       <button type="button" onClick=${() => actions.set({ refusal: null })}>Close</button></p>` : null}
-    ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><strong>${error.path}${error.line === null ? "" : `:${error.line}`}</strong> ${error.text}</p>`)}
+    ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><${FileLine} actions=${actions} file=${error.path} line=${error.line} /> ${error.text}</p>`)}
     ${actions.isRunning && player.plan !== null && own?.plan != null && own.plan !== player.plan
       ? html`<p class="banner banner-note" role="status">The file has changed since START: what plays is as it was; times, cues and curves shown are the new ones. The next START plays them.</p>` : null}
     ${welcome?.is_network_readable ? html`<p class="banner banner-note">This link has no TLS: others on the network can read along.</p>` : null}
   </div>`;
+}
+
+/** What ended it and what was done, and where the robot stands. @param {import("../state.js").State} state */
+function faultOf(state) {
+  const { detail } = stateOf(state);
+  const done = state.trouble.find((one) => one.kind === "fault")?.done ?? "";
+  return [detail, done].filter((text) => text !== "").join(": ");
 }

@@ -16,7 +16,7 @@ export function Transport({ state, actions }) {
   const { player, rate, view, page } = state;
   const { stage } = state;
   // Of a stage it fires the next cue of GO, or ends a rest that waits for GO.
-  const hasGo = stage !== null && (stage.next_go !== null || stage.reasons.length > 0);
+  const hasGo = stage !== null && (stage.next_go !== null || stage.reasons.some((text) => text.startsWith("waits for GO")));
   const isReady = player.state === "ready" || hasGo;
   const next = stage?.next_go == null ? "" : `: ${stage.next_go}`;
   const isRunning = actions.isRunning;
@@ -48,7 +48,7 @@ function Way({ state, actions }) {
   if (view === null) return null;
   const canSeek = player.state === "playing" || player.state === "paused";
   const at_s = canSeek && health?.show_s != null ? withinView(view, Math.max(health.show_s, 0)) : state.cursor_s;
-  return html`<label class="way"><span class="way-name">${canSeek ? "Seek" : "Cursor"}</span>
+  return html`<label class="way"><span class="way-name">${canSeek ? "Seek" : "Cursor"}</span> <span class="way-at">${timeText(at_s, 0.1)}</span>
     <input type="range" min="0" max=${view.view_s} step="0.01" value=${at_s}
       aria-valuetext=${`${timeText(at_s, 0.1)} of ${timeText(view.view_s, 0.1)}`}
       onChange=${(/** @type {Event} */ event) => {
@@ -56,5 +56,5 @@ function Way({ state, actions }) {
         if (canSeek) actions.seek(to_s);
         else actions.moveTo(to_s);
       }} />
-    <span class="way-end">${view.is_endless ? "∞" : timeText(view.view_s, 0.1)}</span></label>`;
+    <span class="way-end">of ${view.is_endless ? "∞" : timeText(view.view_s, 0.1)}</span></label>`;
 }

@@ -19,7 +19,7 @@ const WHEEL_FACTOR = 1.0015;
 const DRAG_PX = 4;
 const SAMPLES = 400;
 
-/** @typedef {{ id: number, x_px: number, y_px: number, from_x_px: number, kind: "pan" | "cursor", isMoved: boolean }} Drag */
+/** @typedef {{ id: number, x_px: number, y_px: number, from_x_px: number, kind: "pan" | "cursor" | "key", isMoved: boolean }} Drag */
 
 export class TimelineBoard {
   /** @type {Store} */
@@ -45,13 +45,18 @@ export class TimelineBoard {
   #isFitted = true;
   /** @type {Map<number, Drag>} */
   #drags = new Map();
+  #showsOnly;
   /** @type {(() => void)[]} */
   #ends = [];
   /** How many keys the last drawing had, for tests. */
   keys = 0;
 
-  /** @param {HTMLElement} element filled with the canvases @param {Store} store */
-  constructor(element, store) {
+  /**
+   * @param {HTMLElement} element filled with the canvases @param {Store} store
+   * @param {() => void} showsOnly called when somebody tries to change a key
+   */
+  constructor(element, store, showsOnly) {
+    this.#showsOnly = showsOnly;
     this.#element = element;
     this.#store = store;
     for (const name of ["names", "plan", "live"]) {
@@ -68,6 +73,11 @@ export class TimelineBoard {
       ["pointerdown", (event) => this.#press(event)],
       ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)],
+      ["dblclick", () => this.#showsOnly()],
+      ["contextmenu", (event) => {
+        event.preventDefault();
+        this.#showsOnly();
+      }],
       ["pointercancel", (event) => void this.#drags.delete(event.pointerId)],
     ]);
     for (const [name, act] of listen) live.addEventListener(name, act);
@@ -202,7 +212,7 @@ export class TimelineBoard {
    * @param {number | null} playhead_s */
   #drawMoving(scene, state, playhead_s) {
     const view = scene.view;
-    const { segments } = this.#store.readings;
+    const { segments, plan } = this.#store.readings;
     const counts = `${segments.length} ${segments.at(-1)?.count ?? 0} ${playhead_s} ${state.cursor_s}`;
     if (counts === this.#live) return;
     this.#live = counts;
@@ -210,7 +220,7 @@ export class TimelineBoard {
     drawLive(live, scene, {
       playhead_s,
       cursor_s: state.cursor_s,
-      order: state.started?.plan === view.plan ? state.started.joints : [],
+      order: plan === view.plan ? (state.started?.joints ?? []) : [],
       segments,
       toView: (at_s) => withinView(view, at_s),
     });
@@ -243,7 +253,7 @@ export class TimelineBoard {
     const canvas = /** @type {HTMLCanvasElement} */ (event.currentTarget);
     canvas.setPointerCapture(event.pointerId);
     const hit = this.#hit(event);
-    const kind = hit?.kind === "ruler" ? "cursor" : "pan";
+    const kind = hit?.kind === "ruler" ? "cursor" : hit?.kind === "key" && event.pointerType !== "touch" ? "key" : "pan";
     this.#drags.set(event.pointerId, {
       id: event.pointerId, x_px: event.offsetX, y_px: event.offsetY, from_x_px: event.offsetX, kind, isMoved: false,
     });
@@ -253,12 +263,18 @@ export class TimelineBoard {
   /** @param {PointerEvent} event */
   #move(event) {
     const drag = this.#drags.get(event.pointerId);
-    if (drag === undefined) return;
+    if (drag === undefined) {
+      const kind = this.#hit(event)?.kind ?? "nothing";
+      this.#element.style.cursor = kind === "key" || kind === "span" ? "pointer" : "";
+      return;
+    }
     const by_px = drag.x_px - event.offsetX;
     const down_px = drag.y_px - event.offsetY;
     if (!drag.isMoved && Math.hypot(by_px, down_px) < DRAG_PX) return;
-    drag.isMoved = true;
-    if (drag.kind === "cursor") {
+    if (drag.kind === "key") {
+      if (!drag.isMoved) this.#showsOnly();
+      this.#element.style.cursor = "not-allowed";
+    } else if (drag.kind === "cursor") {
       this.#setCursor(event.offsetX);
     } else if (this.#drags.size === 2) {
       const other = /** @type {Drag} */ ([...this.#drags.values()].find((one) => one !== drag));
@@ -269,6 +285,7 @@ export class TimelineBoard {
       this.#look(panned(this.#seen, by_px, this.#length_s), this.#isFitted && by_px === 0);
       this.#scroll_px += down_px;
     }
+    drag.isMoved = true;
     drag.x_px = event.offsetX;
     drag.y_px = event.offsetY;
   }

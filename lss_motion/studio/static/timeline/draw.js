@@ -5,7 +5,8 @@
  * the least and largest value of each column of pixels.
  */
 
-import { fillColumns, lowerBound, valueAt } from "../curves.js";
+import { angleAt, fillColumns, lowerBound, valueAt } from "../curves.js";
+import { number } from "../numbers.js";
 import { rangeOf } from "./layout.js";
 import { endOf, pixelOf, tickStep, timeText } from "./window.js";
 
@@ -405,7 +406,10 @@ function drawLimits(ctx, scene, row, joint, scale) {
   ctx.setLineDash([]);
 }
 
-/** Stretched spans are hatched one way, angle given up the other. @param {Ctx} ctx
+/** Height of the strip that marks a span: the row below it stays readable. */
+const SPAN_PX = 7;
+
+/** Stretched spans are hatched one way, angle given up the other, in a strip at the top. @param {Ctx} ctx
  * @param {Scene} scene @param {Row} row */
 function drawSpans(ctx, scene, row) {
   const { view, seen, palette, selection } = scene;
@@ -418,11 +422,10 @@ function drawSpans(ctx, scene, row) {
       const left_px = Math.max(x_px, -8);
       const right_px = Math.min(x_px + width_px, seen.width_px + 8);
       ctx.fillStyle = list === "stretched" ? palette.stretched : palette.given_up;
-      ctx.globalAlpha = 0.22;
+      ctx.globalAlpha = 0.08;
       ctx.fillRect(left_px, row.y_px, right_px - left_px, row.height_px - 1);
-      ctx.globalAlpha = 0.8;
-      ctx.fillRect(left_px, row.y_px, right_px - left_px, 3);
-      hatch(ctx, { left_px, right_px, top_px: row.y_px, bottom_px: row.y_px + row.height_px - 1 }, list === "stretched" ? 1 : -1);
+      ctx.globalAlpha = 1;
+      hatch(ctx, { left_px, right_px, top_px: row.y_px, bottom_px: row.y_px + SPAN_PX }, list === "stretched" ? 1 : -1);
       ctx.globalAlpha = 1;
       if (selection?.kind === "span" && selection.list === list && selection.index === index) {
         ctx.strokeStyle = palette.selected;
@@ -439,11 +442,10 @@ function hatch(ctx, box, slope) {
   ctx.save();
   clip(ctx, box.left_px, box.top_px, box.right_px - box.left_px, box.bottom_px - box.top_px);
   ctx.strokeStyle = /** @type {string} */ (ctx.fillStyle);
-  ctx.globalAlpha = 0.5;
-  ctx.lineWidth = 1;
+  ctx.lineWidth = 2;
   ctx.beginPath();
   const height_px = box.bottom_px - box.top_px;
-  const step_px = Math.max(8, (box.right_px - box.left_px) / 200);
+  const step_px = Math.max(6, (box.right_px - box.left_px) / 200);
   for (let x_px = box.left_px - height_px; x_px < box.right_px + height_px; x_px += step_px) {
     ctx.moveTo(x_px, box.bottom_px);
     ctx.lineTo(x_px + slope * height_px, box.top_px);
@@ -511,10 +513,12 @@ function drawPoints(ctx, scene, keys, y, plan, chosen) {
   const isCrowded = end - first > 2 && (seen.width_px / (end - first)) < CROWDED_PX;
   let previous_px = -Infinity;
   let drawn = 0;
+  /** What is added to other angles stands on the sum. @param {import("../state.js").JointKey} key */
+  const yOf = (key) => y(key.is_added ? angleAt(plan, key.at_s) : key.deg);
   ctx.fillStyle = palette.hold;
   for (let index = first; index < end; index += 1) {
     const key = /** @type {import("../state.js").JointKey} */ (keys[index]);
-    if (key.hold_s > 0) ctx.fillRect(pixelOf(seen, key.at_s), y(key.deg) - 2, key.hold_s * seen.px_per_s, 4);
+    if (key.hold_s > 0) ctx.fillRect(pixelOf(seen, key.at_s), yOf(key) - 2, key.hold_s * seen.px_per_s, 4);
   }
   const size_px = Math.min(KEY_PX, Math.max(seen.width_px / Math.max(end - first, 1) / 4, 1.5));
   for (const isAnchor of [false, true]) {
@@ -525,7 +529,7 @@ function drawPoints(ctx, scene, keys, y, plan, chosen) {
       if (key.is_anchor !== isAnchor || (isCrowded && !isAnchor)) continue;
       const x_px = pixelOf(seen, key.at_s);
       if (x_px - previous_px < 2 && x_px >= previous_px) continue;
-      const y_px = y(key.deg);
+      const y_px = yOf(key);
       if (isAnchor) keyPath(ctx, x_px, y_px, true, KEY_PX);
       else diamond(ctx, x_px, y_px, size_px);
       previous_px = x_px;
@@ -537,7 +541,7 @@ function drawPoints(ctx, scene, keys, y, plan, chosen) {
   if (own !== undefined) {
     ctx.strokeStyle = palette.selected;
     ctx.lineWidth = 2;
-    ctx.strokeRect(pixelOf(seen, own.at_s) - 7, y(own.deg) - 7, 14, 14);
+    ctx.strokeRect(pixelOf(seen, own.at_s) - 7, yOf(own) - 7, 14, 14);
   }
   return drawn;
 }
@@ -610,11 +614,12 @@ function drawName(ctx, scene, row, width_px, view) {
     const joint = /** @type {import("../state.js").JointView} */ (view.joints[row.index]);
     const [low, high] = rangeOf(joint, order, scene.used_deg[row.name] ?? [0, 0]);
     const limit = order === 0 ? `${round(low)} to ${round(high)}` : `± ${round(order === 1 ? joint.speed_max_deg_s : joint.accel_max_deg_s2)}`;
-    ctx.fillText(`${limit} ${UNITS[order]}`, 10, row.y_px + 29);
+    ctx.fillText(fittedText(`${joint.servo} · id ${joint.id}`, width_px - 14), 10, row.y_px + 26);
+    ctx.fillText(`${limit} ${UNITS[order]}`, 10, row.y_px + 40);
     const error = view.error[row.name];
-    if (error !== undefined && row.height_px > 50) {
+    if (error !== undefined) {
       ctx.fillStyle = palette.predicted;
-      ctx.fillText(`horn ≤ ${error.max_deg.toFixed(2)} deg off`, 10, row.y_px + row.height_px - 12);
+      ctx.fillText(`horn ≤ ${error.max_deg.toFixed(2)} deg off`, 10, row.y_px + row.height_px - 10);
     }
   }
   if (row.kind === "line") {
@@ -625,7 +630,7 @@ function drawName(ctx, scene, row, width_px, view) {
 
 /** @param {number} value */
 function round(value) {
-  return Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(1);
+  return number(value, Math.abs(value) >= 100 ? 0 : 1);
 }
 
 /** @param {string} text @param {number} width_px */

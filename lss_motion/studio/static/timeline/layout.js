@@ -25,7 +25,7 @@ const LANE_PX = 22;
 const LINE_PX = 34;
 export const JOINT_PX = 76;
 /** A show with many joints gets lower rows. */
-const JOINT_LOW_PX = 58;
+const JOINT_LOW_PX = 64;
 const MANY_JOINTS = 9;
 /** More lanes than these are scrolled with the joints. */
 const FIXED_LANES_MAX = 4;

@@ -1,0 +1,27 @@
+// @ts-check
+/** Lines of the files of a show: named, and shown as text. */
+
+import { html, useEffect, useRef, useState } from "../vendor/preact.js";
+
+/** A file and line that lead to its text. @param {{ actions: import("../actions.js").Actions, file: string, line: number | null }} props */
+export function FileLine({ actions, file, line }) {
+  const place = line === null ? file : `${file}:${line}`;
+  return html`<button type="button" class="plain file-line" onClick=${() => actions.set({ dialog: { kind: "text", file, line } })}>${place}</button>`;
+}
+
+/** The text of a file, at a line. @param {{ file: string, line: number | null }} props */
+export function FileText({ file, line }) {
+  const [text, setText] = useState("");
+  const [problem, setProblem] = useState("");
+  const marked = useRef(/** @type {HTMLElement | null} */ (null));
+  useEffect(() => {
+    fetch(`/text/${file.split("/").map(encodeURIComponent).join("/")}`).then(async (response) => {
+      if (response.ok) setText(await response.text());
+      else setProblem((await response.json()).error);
+    }, () => setProblem("the server cannot be reached"));
+  }, [file]);
+  useEffect(() => marked.current?.scrollIntoView({ block: "center" }), [text]);
+  if (problem !== "") return html`<p class="bad-text">${problem}</p>`;
+  return html`<ol class="file-text" tabindex="0">${text.split("\n").map((own, index) => html`<li key=${index}
+    ref=${index + 1 === line ? marked : undefined} aria-current=${index + 1 === line ? "true" : undefined}>${own || " "}</li>`)}</ol>`;
+}
