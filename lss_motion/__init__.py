@@ -29,7 +29,9 @@ joint, times are seconds, unless a name says otherwise.
 
 from __future__ import annotations
 
+from functools import wraps
 from importlib import import_module
+from types import FunctionType
 from typing import TYPE_CHECKING
 
 from lss_motion.errors import (
@@ -40,12 +42,23 @@ from lss_motion.errors import (
     PlanningError,
     PlaybackError,
     ProtocolError,
+    in_python_words,
 )
 
 if TYPE_CHECKING:
+    from lss_motion.interchange.importing import import_motion
+    from lss_motion.maintenance.api import calibrate, identify, identify_log, scan
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import Trajectory
-    from lss_motion.playing.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
+    from lss_motion.playing.api import (
+        check,
+        compile,  # noqa: A004
+        export,
+        load_robot,
+        load_sequence,
+        plan,
+        play,
+    )
     from lss_motion.playing.live import Live, connect
     from lss_motion.playing.remote.handle import Handle, start
     from lss_motion.playing.remote.player_end import LossRule
@@ -72,12 +85,19 @@ __all__ = [
     "Robot",
     "Sequence",
     "Trajectory",
+    "calibrate",
+    "check",
     "compile",
     "connect",
+    "export",
+    "identify",
+    "identify_log",
+    "import_motion",
     "load_robot",
     "load_sequence",
     "plan",
     "play",
+    "scan",
     "start",
 ]
 
@@ -91,12 +111,19 @@ _HOME = {
     "Robot": "lss_motion.robot.model",
     "Sequence": "lss_motion.show.model",
     "Trajectory": "lss_motion.planning.trajectory.model",
+    "calibrate": "lss_motion.maintenance.api",
+    "check": "lss_motion.playing.api",
     "compile": "lss_motion.playing.api",
     "connect": "lss_motion.playing.live",
+    "export": "lss_motion.playing.api",
+    "identify": "lss_motion.maintenance.api",
+    "identify_log": "lss_motion.maintenance.api",
+    "import_motion": "lss_motion.interchange.importing",
     "load_robot": "lss_motion.playing.api",
     "load_sequence": "lss_motion.playing.api",
     "plan": "lss_motion.playing.api",
     "play": "lss_motion.playing.api",
+    "scan": "lss_motion.maintenance.api",
     "start": "lss_motion.playing.remote.handle",
 }
 
@@ -105,7 +132,25 @@ def __getattr__(name: str) -> object:
     """Import what is asked for, so that importing the package costs nothing."""
     if name not in _HOME:
         raise AttributeError(f"module 'lss_motion' has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+    found = getattr(import_module(_HOME[name]), name)
+    if isinstance(found, FunctionType):
+        found = _with_python_words(found)
+    globals()[name] = found
+    return found
+
+
+def _with_python_words(function: FunctionType) -> object:
+    """Return the function; its errors name arguments of Python where a command has options."""
+
+    @wraps(function)
+    def call(*args: object, **kwargs: object) -> object:
+        try:
+            return function(*args, **kwargs)
+        except LssMotionError as error:
+            in_python_words(error)
+            raise
+
+    return call
 
 
 def __dir__() -> list[str]:

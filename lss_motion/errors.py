@@ -20,7 +20,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from os import PathLike
-from typing import ClassVar
+from typing import ClassVar, Final
 
 EXIT_FINISHED = 0
 EXIT_INPUT = 2
@@ -135,3 +135,43 @@ class PlaybackError(LssMotionError):
         super().__init__(reason)
         self.reason = reason
         self.joint = joint
+
+
+PYTHON_NAMES: Final = {
+    "--clip": "is_clipped=True",
+    "--force": "is_forced=True",
+    "--from": "format_name",
+    "--motion": "motion_name",
+    "--no-feedback": "has_feedback=False",
+    "--port": "port",
+    "--rate-hz": "rate_hz",
+    "--robot": "robot",
+    "--sim": "sim",
+    "--tolerance-deg": "tolerance_deg",
+    "--unwrap": "is_unwrapped=True",
+    "--virtual": "is_virtual=True",
+}
+"""What the functions for users call the options that messages name."""
+
+
+def in_python_words(error: LssMotionError) -> LssMotionError:
+    """Let the message of an error name arguments of Python, not options; return the error.
+
+    Options of a command that the message shows stay as they are.
+    """
+    import re  # It takes longer to import than this module.
+
+    def named(text: str) -> str:
+        parts = re.split(r"(`[^`]*`|lss-[^;,.]*)", text)
+        parts[::2] = [
+            re.sub(r"(?<![\w-])--[a-z-]+", lambda at: PYTHON_NAMES.get(at[0], at[0]), part)
+            for part in parts[::2]
+        ]
+        return "".join(parts)
+
+    if isinstance(error, InputError | PlanningError | BusError | PlaybackError):
+        error.reason = named(error.reason)
+    error.args = tuple(named(arg) if isinstance(arg, str) else arg for arg in error.args)
+    for other in error.more if isinstance(error, InputError) else ():
+        in_python_words(other)
+    return error

@@ -27,9 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.interchange.export import Samples
     from lss_motion.planning.shows import Show
-    from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.robot.model import Robot
 
 
@@ -249,7 +247,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from lss_motion.interchange.export import exported
+    from lss_motion.interchange.export import Samples, exported
     from lss_motion.planning import shows
     from lss_motion.planning.program.arduino import header_name
     from lss_motion.planning.program.text import to_text
@@ -285,7 +283,7 @@ def _export(arguments: argparse.Namespace) -> int:
     require_outputs(outputs, sources=sources, is_forced=arguments.force)
     trajectory = shows.planned(sequence, robot)
     shows.require_rows(trajectory, arguments.rate_hz)
-    samples = sampled(trajectory, arguments.rate_hz)
+    samples = Samples.of(trajectory, shows.shown_s(trajectory), arguments.rate_hz)
     write_output(output, exported(samples, format_name))
     say(f"{output}: {len(samples.times_s)} samples of {len(samples.joints)} joints")
     return EXIT_FINISHED
@@ -320,24 +318,3 @@ def _write_sketch(show: Show, output: Path) -> None:
         say(text)
     if output.absolute().parent.name != output.stem:
         say(f"the Arduino IDE opens it in a folder named {output.stem}")
-
-
-def sampled(trajectory: Trajectory, rate_hz: float) -> Samples:
-    """Return samples of the plan, one every `1 / rate_hz`, to its end or just beyond it.
-
-    An endless show gives its first pass and one more.
-    """
-    import numpy as np
-
-    from lss_motion.interchange.export import Samples
-    from lss_motion.planning.shows import shown_s
-
-    times_s = np.arange(int(np.ceil(shown_s(trajectory) * rate_hz - 1e-9)) + 1) / rate_hz
-    return Samples(
-        name=trajectory.name,
-        joints=trajectory.joints,
-        rate_hz=rate_hz,
-        times_s=times_s,
-        angles_deg=trajectory.sample(times_s),
-        speeds_deg_s=trajectory.sample(times_s, 1),
-    )

@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from msgspec.structs import replace
-
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
 from lss_motion.cli.messages import StepLine, agrees, ended_by, say
 from lss_motion.cli.options import add_options
@@ -94,6 +92,7 @@ def add_to(commands: Commands) -> None:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.terminal import Terminal
+    from lss_motion.maintenance.api import measurable
     from lss_motion.maintenance.identify.trials import SPAN_DEG
     from lss_motion.playing.connection import ask_limits, connect, is_simulated
     from lss_motion.system.clock import MonotonicClock, VirtualClock
@@ -104,7 +103,7 @@ def _identify(arguments: argparse.Namespace) -> int:
         raise InputError("name the joints to measure; all joints of a show's log: --from LOG")
     span_deg = SPAN_DEG if arguments.span_deg is None else arguments.span_deg
     robot = ask_limits(robot_at(arguments.robot, arguments.port))
-    joints = _joints(robot, arguments.joints)
+    joints = [measurable(robot, name) for name in dict.fromkeys(arguments.joints)]
     simulated = is_simulated(robot)
     _check(arguments, simulated=simulated)
     if simulated:
@@ -130,22 +129,15 @@ def _identify(arguments: argparse.Namespace) -> int:
 
 def _from_log(arguments: argparse.Namespace) -> int:
     """Measure by the log of a show, joint by joint; nothing moves."""
+    from lss_motion.maintenance.api import recordings_of
     from lss_motion.maintenance.identify.show_fit import identify_from_show
-    from lss_motion.maintenance.identify.show_pieces import LoggedBytes, recordings
-    from lss_motion.playing.log import ReceivedLine, SentLine, read_log
+    from lss_motion.playing.log import read_log
 
     robot = robot_at(arguments.robot, None)
     _check_from_log(arguments)
     log = read_log(arguments.log)
     _require_its_log(log, robot)
-    logged = (
-        LoggedBytes(line.at_ns, line.bus, isinstance(line, SentLine), line.data)
-        for line in log.lines
-        if isinstance(line, SentLine | ReceivedLine)
-    )
-    found = recordings(logged, robot)
-    if not found:
-        raise InputError(f"holds no move of robot {robot.name!r}", path=arguments.log)
+    found = recordings_of(log, robot)
     path, is_measured = arguments.robot, False
     for name in dict.fromkeys(arguments.joints or robot.joints):
         require_joint(robot, name)
@@ -199,21 +191,6 @@ def _check_from_log(arguments: argparse.Namespace) -> None:
     require_outputs([output], sources=sources, is_forced=arguments.force)
 
 
-def _joints(robot: Robot, names: Sequence[str]) -> list[Joint]:
-    """Return the joints with the timed drive: they are measured in EM1."""
-    from lss_motion.protocol.constants import Family
-
-    for name in dict.fromkeys(names):
-        require_joint(robot, name)
-        if robot.joints[name].model.family is Family.IO2:
-            raise InputError(
-                f"joint {name!r} is an RC servo of an LSS-2IO: it reports no position and "
-                f"cannot be measured",
-                path=robot.path,
-            )
-    return [replace(robot.joints[name], drive="timed") for name in dict.fromkeys(names)]
-
-
 def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
     """Refuse arguments whose fault would otherwise appear only after the moves."""
     if arguments.virtual and not simulated:
@@ -258,16 +235,10 @@ def _measured(
     connection: Connection, robot: Robot, joint: Joint, span_deg: float, terminal: Terminal
 ) -> Experiment:
     """Run the trials of one joint; raise the error that ended them."""
-    from lss_motion.maintenance.identify.joint_run import Experiment
-    from lss_motion.maintenance.identify.trials import make_window
-    from lss_motion.playing.player import handshake
+    from lss_motion.maintenance.api import make_experiment
     from lss_motion.playing.runner import run
 
-    answers, _ = connection.examined([joint], robot)
-    standing_deg = handshake.reported(joint, answers, "QD")
-    assert standing_deg is not None, "`examined` raises without it"
-    window = make_window(joint, standing_deg, span_deg)
-    experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)
+    experiment = make_experiment(connection, robot, joint, span_deg)
     step = StepLine()
     run(
         experiment,

@@ -101,7 +101,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
 
 def _bus(port: str | None) -> Bus:
     """Return the bus at `port`; without it, list the ports and return the only one on USB."""
-    from lss_motion.robot.model import Bus
+    from lss_motion.maintenance.api import scanned_bus
     from lss_motion.system.port import list_devices
 
     if port is None:
@@ -118,7 +118,7 @@ def _bus(port: str | None) -> Bus:
         if len(usb) > 1:
             raise InputError(f"there are {len(usb)} ports on USB; name one, such as {usb[0].path}")
         port = usb[0].path
-    return Bus(name="main", port=port, baud_bps=115200, firmware=370)
+    return scanned_bus(port)
 
 
 def _as_json(

@@ -9,7 +9,7 @@ import csv
 import io
 import json
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from msgspec import Struct
@@ -32,6 +32,18 @@ RADIAN_DECIMALS: Final = 8
 """Decimals of radians, about as fine as `ANGLE_DECIMALS`."""
 
 
+class Sampled(Protocol):
+    """A plan as far as it is needed here: `Trajectory` is one."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+
+    def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray: ...
+
+
 class Samples(Struct, frozen=True, kw_only=True):
     """A plan sampled at even times: angles and speeds, (n, joints)."""
 
@@ -41,6 +53,19 @@ class Samples(Struct, frozen=True, kw_only=True):
     times_s: FloatArray
     angles_deg: FloatArray
     speeds_deg_s: FloatArray
+
+    @classmethod
+    def of(cls, plan: Sampled, until_s: float, rate_hz: float) -> Samples:
+        """Return samples of a plan, one every `1 / rate_hz`, to `until_s` or just beyond it."""
+        times_s = np.arange(int(np.ceil(until_s * rate_hz - 1e-9)) + 1) / rate_hz
+        return cls(
+            name=plan.name,
+            joints=plan.joints,
+            rate_hz=rate_hz,
+            times_s=times_s,
+            angles_deg=plan.sample(times_s),
+            speeds_deg_s=plan.sample(times_s, 1),
+        )
 
 
 def exported(samples: Samples, format_name: str) -> str:

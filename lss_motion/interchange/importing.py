@@ -5,6 +5,7 @@ recognises the file; `read_motion` selects one motion; `imported` maps it to joi
 reduces a recording to keys; `sequence_for` checks the result against the robot.
 """
 
+# ruff: noqa: TC001 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import math
@@ -31,7 +32,7 @@ from lss_motion.interchange.hulks import HulksReader
 from lss_motion.interchange.labels import LabelStyle, label_sequence
 from lss_motion.interchange.lerobot import LeRobotReader
 from lss_motion.interchange.maestro import MaestroReader
-from lss_motion.interchange.mapping import UNWRAP_OFFER, mapped
+from lss_motion.interchange.mapping import UNWRAP_OFFER, MotionMap, mapped
 from lss_motion.interchange.opencat import OpenCatReader
 from lss_motion.interchange.papagayo import PapagayoReader
 from lss_motion.interchange.poses import PosesReader
@@ -47,6 +48,7 @@ from lss_motion.interchange.ros import RosReader
 from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
 from lss_motion.interchange.xlights import XLightsReader
+from lss_motion.robot.model import Robot
 from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.show.check import joint_problems, jumps
 from lss_motion.show.model import KEYFRAMES_MAX, TIME_MAX_S, Interpolation, Sequence
@@ -56,10 +58,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from collections.abc import Sequence as SequenceOf
 
-    from lss_motion.interchange.mapping import MotionMap
     from lss_motion.interchange.reader import Channel, Reader
     from lss_motion.interchange.reduce import KeyFit
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.model import Joint
     from lss_motion.show.model import Keyframe
 
 

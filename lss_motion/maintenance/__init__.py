@@ -6,6 +6,7 @@ opens the ports, and `cli` interacts with the person.
 
 | file                | what it is                                          | who calls it        |
 |---------------------|-----------------------------------------------------|---------------------|
+| `api.py`            | scan, identify and calibrate for Python             | `lss_motion`        |
 | `survey.py`         | the servos of a bus, their problems and remedies    | `cli.scan`          |
 | `settings.py`       | stored values: queries, commands, backups, frames   | `cli.configure`     |
 | `monitor.py`        | polls every servo, raises alarms                    | `cli.monitor`       |

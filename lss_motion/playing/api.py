@@ -5,9 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from lss_motion.errors import InputError
 from lss_motion.planning.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.planning.program.model import Program
+from lss_motion.planning.trajectory.model import Trajectory
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import ask_limits, is_simulated, with_port
 from lss_motion.playing.report import Report
@@ -19,7 +22,9 @@ from lss_motion.show.model import Sequence
 
 __all__ = [
     "ask_limits",
+    "check",
     "compile",
+    "export",
     "is_simulated",
     "load_robot",
     "load_sequence",
@@ -48,7 +53,48 @@ def load_sequence(path: Path | str | Mapping[str, object], robot: Robot | None =
     return sequences.load_sequence(path, robot, read_other=gait_as_sequence)
 
 
-def play(
+def check(
+    path: Path | str | Mapping[str, object], robot: Robot | None = None, *, is_robust: bool = False
+) -> dict[str, Any]:
+    """Return what `lss-motion check --json` prints of a sequence or gait: numbers for each joint.
+
+    `is_robust` also plays it on simulated robots that are worse than assumed, which takes a minute.
+    Raises `InputError`, `PlanningError` or `LineLoadError`, as loading, planning and compiling do.
+    """
+    from lss_motion.planning import shows, summaries
+    from lss_motion.playing import robustness
+
+    sequence = load_sequence(path, robot)
+    if robot is None:
+        assert sequence.robot_path is not None, "without a robot it would not have been loaded"
+        robot = load_robot(sequence.robot_path)
+    show = shows.compiled(sequence, robot)
+    found = summaries.show_as_json(show)
+    if is_robust:
+        trials = list(robustness.trials(show))
+        found["robust"] = robustness.robust_as_json(trials, show.program.duration_s)
+    return found
+
+
+def export(trajectory: Trajectory, format_name: str, *, rate_hz: float = 50.0) -> str:
+    """Return a plan as text for another program, as `lss-motion export` writes it.
+
+    `format_name` is `csv`, `ros`, `blender-csv` or `blender-json`. An endless show gives its first
+    pass and one more. Raises `InputError` for another format or rate.
+    """
+    from lss_motion.files.texts import known_names
+    from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported
+    from lss_motion.planning import shows
+
+    if format_name not in EXPORT_NAMES:
+        raise InputError(
+            f"unknown format {format_name!r}; {known_names(format_name, EXPORT_NAMES)}"
+        )
+    shows.require_rows(trajectory, rate_hz)
+    return exported(Samples.of(trajectory, shows.shown_s(trajectory), float(rate_hz)), format_name)
+
+
+def play(  # noqa: PLR0913  (the options of one run)
     program: Program,
     robot: Robot,
     *,
@@ -58,21 +104,30 @@ def play(
     has_feedback: bool = True,
     allow_run: bool = False,
     is_forced: bool = False,
+    sim: str = "",
+    trajectory: Trajectory | None = None,
 ) -> Report:
     """Play `program` on `robot` and return the report.
 
     `port` overrides the robot file's. `is_virtual` needs a simulated robot: its time passes as
     fast as the computer can, and the same `seed` gives the same bytes. `allow_run` lets the show
     call the Python functions that its events name, with all that your user may do. Without feedback
-    the servos must store no higher limits than their joints have, unless `is_forced`.
+    the servos must store no higher limits than their joints have, unless `is_forced`. `sim` makes a
+    simulated robot worse than assumed, such as `lag=+30ms,droop=3deg`. With the
+    `trajectory` of the program the report of a simulated run has the true error of each horn
+    (`horn_error_rms_deg`, `horn_error_max_deg`).
 
     Raises `BusError` when a port or a servo cannot be reached, and `InputError` or `PlaybackError`
     when the robot is not what the file says or not fit to move; however it ends, the last bytes are
     the safe state.
     """
+    from lss_motion.sim.deviation import deviation_from_text
+
     result = perform(
         program,
         with_port(robot, port),
+        deviation=deviation_from_text(sim) if sim else None,
+        trajectory=trajectory,
         is_virtual=is_virtual,
         seed=seed,
         has_feedback=has_feedback,

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from motion_table import map_for, robot_for
 
-from lss_motion.cli.exchange import sampled
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.interchange import (
     ForeignMotion,
     Unit,
-    exported,
     import_motion,
     imported,
     load_map,
@@ -25,6 +23,7 @@ from lss_motion.planning import shows
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.program.text import load_program, to_text
 from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.api import export
 from lss_motion.playing.run import perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
@@ -115,7 +114,7 @@ def test_a_plan_that_goes_out_as_csv_comes_in_again_within_a_twentieth_degree(
     sequence, robot = shows.load(EXAMPLES / f"{name}.yaml", None)
     before = plan(sequence, robot)
     path = tmp_path / "out.csv"
-    path.write_text(exported(sampled(before, 100.0), "csv"), encoding="utf-8")
+    path.write_text(export(before, "csv", rate_hz=100.0), encoding="utf-8")
     after = plan(import_motion(path, robot, tolerance_deg=tolerance_deg), robot)
     times_s = np.arange(int(before.duration_s * 1000.0)) / 1000.0
     error_deg = np.abs(after.sample(times_s) - before.sample(times_s))

@@ -293,9 +293,20 @@ class Trajectory(Struct, frozen=True, kw_only=True):
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
         """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints), over all passes.
 
-        Outside of the show the angle is that of the nearer end, and nothing moves.
+        `times_s` is anything that is one number or a row of them; one number gives one row. Outside
+        of the show the angle is that of the nearer end, and nothing moves. Raises `InputError` for
+        what is no number, and for another order.
         """
-        times_s = np.asarray(times_s, dtype=np.float64)
+        try:
+            times_s = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"times_s is {times_s!r:.60}; it must be numbers, in seconds"
+            ) from None
+        if order not in {0, 1, 2}:
+            raise InputError(f"order is {order!r:.60}; it must be 0, 1 or 2")
+        if times_s.ndim != 1 or np.isnan(times_s).any():
+            raise InputError("times_s must be one row of numbers, none of them NaN")
         passes = self._passes_of(times_s)
         found = distinct(passes).tolist()
         if len(found) == 1:  # The usual case; selecting rows would double the time.

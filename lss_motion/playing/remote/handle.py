@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 from msgspec import Struct
 
-from lss_motion.errors import BusError, InputError
+from lss_motion.errors import BusError, InputError, in_python_words
 from lss_motion.planning.program.model import Program
 from lss_motion.playing.connection import with_port
 from lss_motion.playing.remote import schema as m
@@ -243,7 +243,7 @@ class Handle(Closing):
         if outcome is None:
             raise BusError(f"{GONE} (exit code {self._process.wait()})")
         if outcome.error is not None:
-            raise outcome.error
+            raise in_python_words(outcome.error)
         # A run without an error has a report, and one show that of `lss.play`.
         return cast("Report", outcome.report)
 
