@@ -13,6 +13,7 @@ from lss_motion.cli.options import add_options, number_from
 from lss_motion.cli.voices import channel_of
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
     import argparse
@@ -42,6 +43,7 @@ half a beat off had 0.46 and more."""
 ROW_S: Final = 30.0
 ROWS_MAX: Final = 12
 """A picture has up to so many rows of half a minute; those of longer music are longer."""
+WIDTH_IN: Final = 16.0
 DIGITS: Final = 3
 WIDTH: Final = 100
 
@@ -110,7 +112,9 @@ def _beats(arguments: argparse.Namespace) -> int:
     at_s = every(at_s, arguments.from_s, arguments.every).round(DIGITS)
     at_s = at_s[at_s >= 0.0]
     if len(at_s) < 2:
-        raise InputError(f"has {len(at_s)} beats from {arguments.from_s:g} s on", path=part.path)
+        raise InputError(
+            f"has {counted(at_s, 'beat')} from {arguments.from_s:g} s on", path=part.path
+        )
     if arguments.into is not None and len(at_s) > EVENTS_MAX:
         raise InputError(
             f"has {len(at_s):,} beats, at most {EVENTS_MAX:,} go into a show; give --every",
@@ -134,7 +138,7 @@ def _lines(arguments: argparse.Namespace, found: Beats, at_s: FloatArray) -> lis
     steady = "steady" if fast < 1.03 * slow else f"from {slow:.1f} to {fast:.1f}"
     bpm = found.bpm / arguments.every
     lines = [
-        f"{arguments.file}: {len(at_s)} beats from {at_s[0]:.3f} s to {at_s[-1]:.3f} s, "
+        f"{arguments.file}: {counted(at_s, 'beat')} from {at_s[0]:.3f} s to {at_s[-1]:.3f} s, "
         f"{bpm:.1f} a minute ({steady})",
         f"half way between the beats that were found the music is {found.off_beat_ratio:.0%} as "
         "strong as on them",
@@ -183,7 +187,7 @@ def _into(path: Path, at_s: FloatArray, *, is_anchored: bool) -> str:
     shown = "[\n    " + "\n    ".join(rows) + "\n  ]"
     value = f"{{at_s: {shown}, anchor: true}}" if is_anchored else shown
     write_output(path, set_values(path, read_text(path), (), {"beats": value}))
-    return f"{path}: {len(at_s)} beats; at_beat: 1 is at {at_s[0]:g} s"
+    return f"{path}: {counted(at_s, 'beat')}; at_beat: 1 is at {at_s[0]:g} s"
 
 
 def plot_beats(path: Path, part: SoundPart, found: Beats, at_s: FloatArray) -> None:
@@ -197,7 +201,7 @@ def plot_beats(path: Path, part: SoundPart, found: Beats, at_s: FloatArray) -> N
     wave = waveform(part, ROWS_MAX * 1200)
     end_s = float(wave.at_s[-1])
     rows = int(np.clip(np.ceil(end_s / ROW_S), 1, ROWS_MAX))
-    figure = new_figure(path, 16.0, 0.6 + 1.5 * rows)
+    figure = new_figure(path, WIDTH_IN, 0.6 + 1.5 * rows)
     axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
     strength_s = LATER_S + found.step_s * np.arange(len(found.strength))
     scale = 1.0 / max(float(found.strength.max()), 1e-9)
@@ -212,7 +216,7 @@ def plot_beats(path: Path, part: SoundPart, found: Beats, at_s: FloatArray) -> N
             color="#b0413e",
             linewidth=0.8,
         )
-        draw_beats(axis, at_s, from_s, to_s)
+        draw_beats(axis, at_s, (from_s, to_s), WIDTH_IN)
         axis.set_xlim(from_s, to_s)
         axis.set_yticks([])
         axis.tick_params(labelsize=7)

@@ -135,7 +135,7 @@ class CalibrateControls(HandsControls):
         for name, frame in self._frames.items():
             old = self._robot.joints[name]
             self.print(
-                f"{name}: zero_deg {old.zero_deg:g} -> {frame.zero_deg:g}, "
+                f"{name}: zero_deg {old.zero_deg:zg} -> {frame.zero_deg:zg}, "
                 f"direction {old.direction} -> {frame.direction}"
             )
         goal = f"{self._robot.path} and the servos" if self._is_to_servos else self._robot.path

@@ -208,7 +208,7 @@ def _announce(
             print_line(f"  {joint.name}: not tested, its range leaves no room for a move")
             continue
         print_line(
-            f"  {joint.name} (servo {joint.servo_id}): {here_deg:.1f} to {there_deg:.1f} "
+            f"  {joint.name} (servo {joint.servo_id}): {here_deg:z.1f} to {there_deg:z.1f} "
             f"deg and back, at most {top_deg_s(joint, robot):.3g} deg/s"
         )
         moving.append((joint, standing_deg, way_deg))
@@ -239,8 +239,8 @@ def _run_joint(
     standing_deg = _standing_deg(joint, answers)
     if abs(standing_deg - stood_deg) > NEAR_DEG:
         raise PlaybackError(
-            f"joint {joint.name!r} stood at {joint.joint_deg(stood_deg):.1f} deg and is at "
-            f"{joint.joint_deg(standing_deg):.1f} deg, although it was not moved yet. Support it, "
+            f"joint {joint.name!r} stood at {joint.joint_deg(stood_deg):z.1f} deg and is at "
+            f"{joint.joint_deg(standing_deg):z.1f} deg, although it was not moved yet. Support it, "
             f"and begin anew; if nothing moved it, its servo counts other angles than its `model`",
             joint=joint.name,
         )
@@ -273,6 +273,6 @@ def _result_line(run: CarefulRun, joint: Joint) -> str:
         assumed_ms = MS_PER_S * joint.response.lag_s
         lag = f"{MS_PER_S * found.lag_s:.0f} ms late ({assumed_ms:.0f} assumed)"
     return (
-        f"  {joint.name}: turned {found.way_deg:+.1f} deg and back as expected, {lag}, "
+        f"  {joint.name}: turned {found.way_deg:+z.1f} deg and back as expected, {lag}, "
         f"{found.speed_ratio:.2f} of the speed{pulse}"
     )

@@ -15,6 +15,7 @@ from lss_motion.cli.messages import agrees, put, say
 from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.texts import comma_text, counted
 
 if TYPE_CHECKING:
     import argparse
@@ -299,7 +300,7 @@ def _assigned(text: str) -> tuple[str, float | None]:
         return name.upper(), None if value.upper() == "DIS" else float(value)
     except ValueError:
         hint = "write NAME=VALUE, such as LED=3; FD=DIS switches a first position off"
-        problem = f"{value!r} is not a number" if separator else "there is no ="
+        problem = f"{value!r} is not a number{comma_text(value)}" if separator else "there is no ="
         raise InputError(f"--set {text}: {problem}; {hint}") from None
 
 
@@ -362,12 +363,12 @@ def _apply(
     limp = {c.target.name for c in needed if settings.goes_limp(c, is_session=is_session)}
     if limp:
         say(f"These go limp meanwhile: {', '.join(sorted(limp))}. Support their load.")
-    if not _is_agreed(arguments, f"Write {len(needed)} settings?"):
+    if not _is_agreed(arguments, f"Write {counted(needed, 'setting')}?"):
         say("nothing was written")
         return EXIT_FINISHED
     with _writing("some may have their new settings, others not. Give the same command again"):
         done = servo_settings.write(connection, targets, wanted, is_session=is_session)
-    say(f"written and read back: {len(done)} settings")
+    say(f"written and read back: {counted(done, 'setting')}")
     return EXIT_FINISHED
 
 
@@ -498,7 +499,7 @@ def _back_up(
         raise BusError("a servo stopped replying while its settings were read; try again")
     write_output(path, backup_text(servos))
     count = sum(len(kept.settings) for kept in servos)
-    say(f"wrote {path}: {count} settings of {len(servos)} servos")
+    say(f"wrote {path}: {counted(count, 'setting')} of {counted(servos, 'servo')}")
     return EXIT_FINISHED
 
 
@@ -527,7 +528,7 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
     for target, servo_id in moves:
         say(f"{target.model}: id {target.servo_id} → {servo_id}")
     if moves and (
-        arguments.dry_run or not _is_agreed(arguments, f"Give {len(moves)} servos their ids?")
+        arguments.dry_run or not _is_agreed(arguments, f"Give {counted(moves, 'servo')} a new id?")
     ):
         say("nothing was written")
         return EXIT_FINISHED

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
-from lss_motion.files.texts import aligned
+from lss_motion.files.texts import SCREEN_CHARS, aligned
 from lss_motion.playing.player.events import (
     Checked,
     CueReached,
@@ -42,6 +42,8 @@ NO_KEYS: Final = "nNqQ\r\n\x1b\x03\x04"
 CAREFUL_KEYS: Final = "cC"
 NUMBER_COLUMNS: Final = (1, 3, 5, 6, 7, 8, 9, 10)
 """The columns of numbers in the table of servos."""
+SPARE_COLUMNS: Final = (3, 10, 9, 7, 2, 8, 4)
+"""What is left out where the table is too wide: firmware, limits, supply, model, heat, status."""
 WAIT_TEXTS: Final = {
     "begun": "        waiting for {}",
     "met": "        {}: going on",
@@ -131,14 +133,16 @@ def _print(text: str) -> None:
     put(text, sys.stderr, end="")
 
 
-def print_event(event: Event, print_line: Callable[[str], None]) -> None:
+def print_event(
+    event: Event, print_line: Callable[[str], None], *, is_verbose: bool = False
+) -> None:
     """Print an event as one line; the result of the check as a table of the servos."""
     match event:
         case PhaseEntered(phase):
             print_line(f"        {phase.value}")
         case Checked(servos, notes):
-            for line in [*servo_table(servos), *(f"note: {note}" for note in notes)]:
-                print_line(line)
+            table = servo_table(servos, is_whole=is_verbose)
+            print_line("\n".join([*table, *(f"note: {note}" for note in notes)]))
         case MarkPassed(label, show_s) if label:
             print_line(f"{show_s:7.2f} s {label}")
         case CueReached(cue, show_s):
@@ -165,11 +169,17 @@ def _cue_text(cue: Cue) -> str:
     return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
 
 
-def servo_table(servos: Sequence[Found]) -> list[str]:
-    """Return a table of the checked servos, one line each. An unknown value is a dash."""
+def servo_table(servos: Sequence[Found], *, is_whole: bool = False) -> list[str]:
+    """Return a table of the checked servos, one line each. An unknown value is a dash.
+
+    It fits a terminal of 80 characters; `is_whole`: it has every column.
+    """
     head = ("joint", "id", "model", "fw", "status", "at", "start", "V", "°C", "deg/s",
             "deg/s²")  # fmt: skip
-    return aligned([head, *map(_row, servos)], right=NUMBER_COLUMNS)
+    rows = [head, *map(_row, servos)]
+    if is_whole:
+        return aligned(rows, right=NUMBER_COLUMNS)
+    return aligned(rows, right=NUMBER_COLUMNS, spare=SPARE_COLUMNS, most_chars=SCREEN_CHARS)
 
 
 def _row(found: Found) -> tuple[str, ...]:
@@ -179,8 +189,8 @@ def _row(found: Found) -> tuple[str, ...]:
         found.model or "-",
         "-" if found.firmware is None else str(found.firmware),
         found.status or "-",
-        f"{found.position_deg:.1f}",
-        f"{found.start_deg - found.position_deg:+.1f}",
+        f"{found.position_deg:z.1f}",
+        f"{found.start_deg - found.position_deg:+z.1f}",
         _number(found.voltage_v, 1),
         _number(found.temperature_c, 0),
         _number(found.speed_max_deg_s, 0),

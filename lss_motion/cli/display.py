@@ -266,10 +266,10 @@ def _table(joints: list[list[Any]], width: int) -> Table:
         style = "red" if abs(error) > allowed else "yellow" if abs(error) > allowed / 2 else ""
         cells = (
             name,
-            f"{target:.1f}",
-            "-" if measured is None else f"{measured:.1f}",
-            f"{error:+.2f}",
-            f"{offset:+.2f}",
+            f"{target:z.1f}",
+            "-" if measured is None else f"{measured:z.1f}",
+            f"{error:+z.2f}",
+            f"{offset:+z.2f}",
             status,
             "-" if celsius is None else f"{celsius:.0f}",
         )

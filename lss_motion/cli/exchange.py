@@ -269,7 +269,7 @@ def _export(arguments: argparse.Namespace) -> int:
         shows.require_program_suffix(output)
         show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
         write_output(output, to_text(show.program, folder=output.absolute().parent))
-        say(f"{output}: {len(show.program.moves)} commands")
+        say(f"{output}: {counted(show.program.moves, 'command')}")
         return EXIT_FINISHED
     if format_name == SKETCH:
         show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
@@ -285,7 +285,7 @@ def _export(arguments: argparse.Namespace) -> int:
     shows.require_rows(trajectory, arguments.rate_hz)
     samples = Samples.of(trajectory, shows.shown_s(trajectory), arguments.rate_hz)
     write_output(output, exported(samples, format_name))
-    say(f"{output}: {len(samples.times_s)} samples of {len(samples.joints)} joints")
+    say(f"{output}: {counted(samples.times_s, 'sample')} of {counted(samples.joints, 'joint')}")
     return EXIT_FINISHED
 
 
@@ -300,7 +300,7 @@ def _write_mcap(
     read = read_log(log)
     robot = logged_robot(read, read_robot) if robot_path is None else read_robot(robot_path)
     write_output(output, mcap_of_log(read.lines, robot))
-    say(f"{output}: {len(read.lines)} lines of {log}")
+    say(f"{output}: {counted(read.lines, 'line')} of {log}")
 
 
 def _write_sketch(show: Show, output: Path) -> None:
@@ -313,7 +313,7 @@ def _write_sketch(show: Show, output: Path) -> None:
     header = output.with_name(header_name(output))
     write_output(header, made.header)
     write_output(output, made.sketch)
-    say(f"{output}, {header.name}: {len(show.program.moves)} commands")
+    say(f"{output}, {header.name}: {counted(show.program.moves, 'command')}")
     for text in (*(f"Not carried over: {text}" for text in made.left_out), *made.notes):
         say(text)
     if output.absolute().parent.name != output.stem:

@@ -114,7 +114,7 @@ def joint_lines(hands_on: HandsOn, now_ns: int, chosen: str = "") -> list[str]:
         age_ms = 1000.0 * s_from_ns(now_ns - reading.at_ns)
         late = f"  {age_ms:.0f} ms ago" if age_ms > 200.0 else ""
         place = f"{_bar(joint, reading.deg)} {_at_limit(joint, reading.deg)}"
-        lines.append(f"{mark} {joint.name:{width}} {reading.deg:8.1f} {place} {state}{late}")
+        lines.append(f"{mark} {joint.name:{width}} {reading.deg:z8.1f} {place} {state}{late}")
     return lines
 
 
@@ -131,7 +131,7 @@ def _at_limit(joint: Joint, deg: float) -> str:
     return "LIMIT " if is_near else "      "
 
 
-KEYS: Final = re.compile(r"\x1b\[[A-D]|[^\x1b]")
+KEYS: Final = re.compile(r"\x1b\[[A-D]|[\s\S]")
 """A key as a terminal sends it: an arrow or a character."""
 
 
@@ -154,7 +154,9 @@ class HandsControls(Inputs, ABC):
         self.now_ns = now_ns
         signals_count, typed = self.take()
         keys = KEYS.findall(typed)
-        stops_count = signals_count + sum(key in STOP_KEYS for key in keys)
+        stops_count = signals_count
+        if not self.takes_text:
+            stops_count += sum(key in STOP_KEYS for key in keys)
         for _ in range(stops_count):
             driven.stop()
         if driven.phase is Phase.SHOW and not self._has_begun:
@@ -175,6 +177,11 @@ class HandsControls(Inputs, ABC):
 
     def press(self, key: str, hands_on: HandsOn) -> None:
         """Apply a key."""
+
+    @property
+    def takes_text(self) -> bool:
+        """Whether a person types a name: then no letter stops; Ctrl-C does."""
+        return False
 
     @abstractmethod
     def lines(self, hands_on: HandsOn, now_ns: int) -> Sequence[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
 from lss_motion.cli.messages import StepLine, agrees, ended_by, say
-from lss_motion.cli.options import add_options
+from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -79,7 +79,7 @@ def add_to(commands: Commands) -> None:
     add_options(added, "--port")
     added.add_argument(
         "--span-deg",
-        type=float,
+        type=number_from(-1e6, 1e6),
         metavar="DEG",
         help="largest motion to either side (default 20)",
     )
@@ -225,7 +225,7 @@ def _announce(
         low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
         lasts_s = estimated_duration_s(make_trials(joint, window, standing_deg))
         say(
-            f"{joint.name} (servo {joint.servo_id}) stands at {joint.joint_deg(standing_deg):.1f} "
+            f"{joint.name} (servo {joint.servo_id}) stands at {joint.joint_deg(standing_deg):z.1f} "
             f"deg and will move between {low:.1f} and {high:.1f} deg for about {lasts_s:.0f} s, at "
             f"most at {joint.speed_max_deg_s:g} deg/s"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
@@ -24,8 +25,8 @@ Move joints with keys, within their ranges and not faster than the robot's appro
   lss-motion jog my_robot.yaml
 
 Keys: up and down choose a joint; left and right move it by a step; [ and ] make the step smaller
-and larger; l makes the joint limp (hold it, it falls); h holds it; c writes the angles of all
-joints as a pose into the robot file; q ends. Nothing else in the robot file changes.
+and larger; l makes the joint limp (hold it, it falls); h holds it; c asks for a name and writes the
+angles of all joints as a pose into the robot file; q ends. Nothing else in the robot file changes.
 """
 
 
@@ -35,9 +36,8 @@ def add_to(commands: Commands) -> None:
     add_hands_arguments(jog)
     jog.add_argument(
         "--pose",
-        default="pose",
         metavar="NAME",
-        help="name of the poses that the key c writes (default pose, pose_2, ...)",
+        help="the key c asks for no name: the poses are NAME, NAME_2, ...",
     )
 
 
@@ -46,13 +46,13 @@ def _jog(arguments: argparse.Namespace) -> int:
 
     robot, joints = load(arguments)
     robot.require_turns(robot.joints[name] for name in joints)
-    if not _is_name(arguments.pose):
+    if arguments.pose is not None and not _is_name(arguments.pose):
         raise InputError(f"--pose {arguments.pose!r}: a name has letters, digits, - and _ only")
     return run_command(arguments, HandsOn(robot, joints), JogControls(robot, arguments.pose))
 
 
 def _is_name(name: str) -> bool:
-    return name.replace("_", "").replace("-", "").isalnum() and name.isascii()
+    return re.fullmatch(r"[A-Za-z0-9_-]+", name) is not None
 
 
 JOG_KEYS: Final = "arrows choose and move  [ ] step  l limp  h hold  c keep pose  q end"
@@ -63,6 +63,9 @@ LEAD_S: Final = 0.5
 """While a key is held down, the target leads the joint by at most the angle that the joint turns in
 this time, so that it stops soon after the key is released. Chosen."""
 
+NAME_MAX_CHARS: Final = 40
+"""Chosen: a longer name of a pose is a mistake."""
+
 HELD_NS: Final = NS_PER_S // 2
 """A key that comes again so soon is held down. Chosen: keyboards repeat some 30 times a second."""
 
@@ -72,20 +75,31 @@ class JogControls(HandsControls):
 
     greeting = JOG_KEYS
 
-    def __init__(self, robot: Robot, pose_name: str) -> None:
+    def __init__(self, robot: Robot, pose_name: str | None = None) -> None:
+        """Without `pose_name` a person gives each pose a name."""
         super().__init__()
         self._robot = robot
         self._pose_name = pose_name
         self._poses = set(robot.poses)
+        self._typed: str | None = None
+        """The name as far as it is typed; None: no name is asked for."""
         self._chosen = 0
         self._step = 2
         self._target_deg: dict[str, float] = {}
+        self._pose: dict[str, float] = {}
         self._c_ns = -HELD_NS
 
     def turn(self, hands_on: HandsOn) -> None:
         hands_on.take()
 
+    @property
+    def takes_text(self) -> bool:
+        return self._typed is not None
+
     def press(self, key: str, hands_on: HandsOn) -> None:
+        if self._typed is not None:
+            self._type(key)
+            return
         joint = hands_on.joints[self._chosen]
         match key:
             case "\x1b[A" | "k":
@@ -105,11 +119,8 @@ class JogControls(HandsControls):
             case "h":
                 hands_on.hold([joint.name])
                 self._target_deg.pop(joint.name, None)
-            case "c":
-                is_held = self.now_ns - self._c_ns < HELD_NS
-                self._c_ns = self.now_ns
-                if not is_held:
-                    self._keep(hands_on)
+            case "c" if not self._is_c_held():
+                self._take_pose(hands_on)
             case _:
                 pass
 
@@ -118,6 +129,8 @@ class JogControls(HandsControls):
             return []
         chosen = hands_on.joints[self._chosen].name
         head = f"step {STEPS_DEG[self._step]:g} deg   {JOG_KEYS}"
+        if self._typed is not None:
+            head = f"name: {self._typed}_"
         return [head, *joint_lines(hands_on, now_ns, chosen)]
 
     def _move(self, hands_on: HandsOn, name: str, step_deg: float) -> None:
@@ -131,28 +144,60 @@ class JogControls(HandsControls):
         self._target_deg[name] = target_deg
         if target_deg != desired_deg:
             low, high = joint.position_min_deg, joint.position_max_deg
-            text = f"{name} ends at {target_deg:g} deg; its range is {low:g} to {high:g}"
+            text = f"{name} ends at {target_deg:zg} deg; its range is {low:g} to {high:g}"
             self.print(text, beeps=True)
 
-    def _keep(self, hands_on: HandsOn) -> None:
-        """Write the angles of all joints into the robot file, under an unused name."""
+    def _take_pose(self, hands_on: HandsOn) -> None:
+        """Take the present angles; write them, or ask for the name of the pose first."""
+        for joint in hands_on.joints:
+            deg = round(hands_on.readings[joint.name].deg, 1)
+            deg = min(max(deg, joint.position_min_deg), joint.position_max_deg)
+            self._pose[joint.name] = deg + 0.0
+        if self._pose_name is not None:
+            self._keep(self._free_name(self._pose_name))
+            return
+        self._typed = ""
+        self.print(f"name of this pose? Enter alone: {self._free_name('pose')}, Escape: none")
+
+    def _type(self, key: str) -> None:
+        """Apply a key to the name of a pose."""
+        typed = self._typed or ""
+        if key in "\r\n":
+            self._typed = None
+            self._keep(typed or self._free_name("pose"))
+        elif key == "\x1b":
+            self._typed = None
+            self.print("no pose was written")
+        elif key in "\x7f\b":
+            self._typed = typed[:-1]
+        elif _is_name(key) and not (key == "c" and not typed and self._is_c_held()):
+            self._typed = (typed + key)[:NAME_MAX_CHARS]
+
+    def _is_c_held(self) -> bool:
+        """Return whether the key c, which asked for the name, is still held down."""
+        is_held = self.now_ns - self._c_ns < HELD_NS
+        self._c_ns = self.now_ns
+        return is_held
+
+    def _free_name(self, name: str) -> str:
+        """Return `name`, or else `name_2` and so on, that no pose has yet."""
+        names = (name, *(f"{name}_{number}" for number in range(2, len(self._poses) + 3)))
+        return next(free for free in names if free not in self._poses)
+
+    def _keep(self, name: str) -> None:
+        """Write the angles that were taken into the robot file, as a new pose."""
         from lss_motion.robot.write import write_pose
 
         assert self._robot.path is not None
-        names = (self._pose_name, *(f"{self._pose_name}_{n}" for n in range(2, 1000)))
-        name = next((n for n in names if n not in self._poses), "")
-        if not name:
-            self.print("a thousand poses have this name; end and give another --pose")
+        if name in self._poses:
+            self._typed = ""
+            self.print(f"there is a pose {name}; another name?")
             return
-        pose = {}
-        for joint in hands_on.joints:
-            deg = round(hands_on.readings[joint.name].deg, 1)
-            pose[joint.name] = min(max(deg, joint.position_min_deg), joint.position_max_deg)
         try:
-            write_pose(self._robot.path, name, pose)
+            write_pose(self._robot.path, name, self._pose)
         except InputError as error:
             self.print(f"the pose was not written: {error}")
             return
         self._poses.add(name)
-        angles = ", ".join(f"{joint} {angle:g}" for joint, angle in pose.items())
+        angles = ", ".join(f"{joint} {angle:zg}" for joint, angle in self._pose.items())
         self.print(f"{self._robot.path}: pose {name}: {angles}")

@@ -54,6 +54,7 @@ def add_to(commands: Commands) -> None:
         "--csv", type=Path, metavar="FILE", help="write every reading to this file"
     )
     add_options(monitor, "--force")
+    number = number_from(-1e6, 1e6)
     seconds = number_from(0.0, 1e9, "seconds", is_above=True)
     monitor.add_argument(
         "--for", type=seconds, metavar="S", dest="for_s", help="end after S seconds"
@@ -62,14 +63,22 @@ def add_to(commands: Commands) -> None:
         "--every", type=seconds, default=1.0, metavar="S", help="seconds between lines (default 1)"
     )
     monitor.add_argument(
-        "--hot-c", type=float, default=65.0, metavar="C", help="alarm above this °C (default 65)"
+        "--hot-c",
+        type=number,
+        default=65.0,
+        metavar="C",
+        help="alarm above this °C (default 65)",
     )
     monitor.add_argument(
-        "--current-a", type=float, default=1.5, metavar="A", help="alarm above this A (default 1.5)"
+        "--current-a",
+        type=number,
+        default=1.5,
+        metavar="A",
+        help="alarm above this A (default 1.5)",
     )
     monitor.add_argument(
         "--supply-v",
-        type=float,
+        type=number,
         nargs=2,
         default=(6.0, 12.6),
         metavar=("MIN", "MAX"),

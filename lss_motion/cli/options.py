@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.files.texts import comma_text
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
@@ -93,6 +95,7 @@ OPTIONS: Final[Mapping[str, Mapping[str, Any]]] = {
         "help": "list all slow spans and late keyframes, not only the worst ten",
     },
     "--json": {**_FLAG, "help": "print JSON for other programs"},
+    "--verbose": {**_FLAG, "help": "print all numbers, not only what a person wants to know"},
     "--quiet": {**_FLAG, "help": "print errors only, no display"},
 }
 """What `add_argument` gets, by option."""
@@ -150,7 +153,7 @@ def number_from(
             value = math.nan
         if not low <= value <= high or (is_above and value == low):
             bounds = f"{'above' if is_above else 'from'} {low:g} to {high:,.12g} {unit}".rstrip()
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number {bounds}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number {bounds}{comma_text(text)}")
         return value
 
     return number

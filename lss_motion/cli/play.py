@@ -150,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-sound", action="store_true", help="play the show without its sounds")
     add_timecode_options(parser)
-    add_options(parser, "--quiet", "--yes")
+    add_options(parser, "--quiet", "--verbose", "--yes")
     add_options(parser, "--careful")
     add_options(parser, "--allow-run")
 
@@ -256,7 +256,7 @@ def _play(
             raise _explained(result.error, result)
         from lss_motion.cli.report import report_lines
 
-        for line in report_lines(result.report.to_dict()):
+        for line in report_lines(result.report.to_dict(), is_whole=arguments.verbose):
             print_line(line)
         return _exit_code(result, terminal) or (EXIT_INPUT if problems else EXIT_FINISHED)
 
@@ -332,7 +332,7 @@ def _perform(
         confirmation = Confirmation(terminal, terminal, robot.name, note_answer, offer=offer)
         link = stack.enter_context(opened_timecode(arguments, show.program, note))
         observer = Observer(
-            on_event=lambda event: print_event(event, note),
+            on_event=lambda event: print_event(event, note, is_verbose=arguments.verbose),
             on_turn=link.on_turn(None if display is None else display.show),
             controls=link.controls(confirmation, note, note_answer),
             make_tap=None if log is None else log.started,

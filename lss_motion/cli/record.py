@@ -10,6 +10,7 @@ from lss_motion.cli.messages import ended_by, say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
+from lss_motion.files.texts import counted
 from lss_motion.playing.player.events import Phase
 from lss_motion.units import NS_PER_S, ns_from_s
 
@@ -126,7 +127,7 @@ def _write(arguments: argparse.Namespace, take: Take, robot: Robot) -> None:
     shown = sequence_of(take, robot, arguments.output.stem, tolerance_deg=arguments.tolerance_deg)
     comments = [*shown.comments, *map(fit_text, shown.fits)]
     write_sequence(shown.sequence, arguments.output, comments=comments)
-    say(f"{arguments.output}: {len(shown.sequence.keyframes)} keyframes")
+    say(f"{arguments.output}: {counted(shown.sequence.keyframes, 'keyframe')}")
     say("\n".join([*comments, *plan_lines(plan(shown.sequence, robot), robot)]))
 
 
@@ -200,7 +201,7 @@ class RecordControls(HandsControls):
         if hands_on.phase is not Phase.SHOW:
             return []
         take = self._take_shown
-        state = "RECORDING" if take.running is not None else f"{len(take.parts)} parts"
+        state = "RECORDING" if take.running is not None else f"{counted(take.parts, 'part')}"
         per_joint_hz = self._rate_hz / len(hands_on.joints)
         head = f"{state}  {take.recorded_s:.1f} s  {per_joint_hz:.0f} readings/s a joint   {KEYS}"
         return [head, *joint_lines(hands_on, now_ns)]

@@ -13,6 +13,7 @@ from lss_motion.cli.commands import add_command
 from lss_motion.cli.dialog import print_event
 from lss_motion.cli.messages import say
 from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError
+from lss_motion.files.texts import counted
 from lss_motion.playing.player import events
 from lss_motion.units import s_from_ns
 
@@ -102,7 +103,7 @@ def _again(log: Log) -> int:
     )
     result = replay(log.lines, player)
     count = len(result.differing)
-    say(f"{log.path}: {result.compared} outputs compared, {count} differ")
+    say(f"{log.path}: {counted(result.compared, 'output')} compared, {count} differ")
     for index, now in result.differing[:DIFFERENCES_SHOWN]:
         line = log.lines[index]
         was = line.data if isinstance(line, SentLine) else b""
@@ -145,7 +146,7 @@ def _summary(lines: Sequence[LogLine]) -> Iterator[str]:
             traffic[type(line)][line.bus] += len(line.text)
     sent, received = traffic[SentLine], traffic[ReceivedLine]
     for bus in sorted({*sent, *received}):
-        yield f"bus {bus}: {sent[bus]} bytes sent, {received[bus]} received"
+        yield f"bus {bus}: {counted(sent[bus], 'byte')} sent, {received[bus]} received"
     for line in lines:
         for text in _happened(line):
             yield f"{s_from_ns(line.at_ns):12.6f} {text}"
@@ -156,8 +157,8 @@ def _summary(lines: Sequence[LogLine]) -> Iterator[str]:
             if isinstance(item, Command):
                 counts.setdefault((bus, item.servo_id), Counter())[item.keyword] += 1
     for (bus, servo_id), words in sorted(counts.items()):
-        counted = ", ".join(f"{word} {count}" for word, count in words.most_common())
-        yield f"servo {servo_id} on {bus}: {counted}"
+        listed = ", ".join(f"{word} {count}" for word, count in words.most_common())
+        yield f"servo {servo_id} on {bus}: {listed}"
 
 
 def _happened(line: LogLine) -> list[str]:
@@ -172,7 +173,7 @@ def _happened(line: LogLine) -> list[str]:
         case PortLine():
             return [f"port {line.bus}: {line.state} {line.reason}".rstrip()]
         case SkippedLine():
-            return [f"lost: {line.count} lines lost"]
+            return [f"lost: {counted(line.count, 'line')} lost"]
         case _:
             return []
 
@@ -183,7 +184,7 @@ def event_lines(event: events.Event) -> list[str]:
     The result of the check is one line with the number of servos, not a table of them.
     """
     if isinstance(event, events.Checked):
-        return [f"checked {len(event.servos)} servos"]
+        return [f"checked {counted(event.servos, 'servo')}"]
     if isinstance(event, events.MarkPassed) and not event.label:
         return [f"{event.show_s:.2f} s a keyframe"]
     if isinstance(event, events.ShowBegan):

@@ -18,7 +18,7 @@ from lss_motion.cli.options import OPTIONS, add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
-from lss_motion.files.texts import aligned
+from lss_motion.files.texts import SCREEN_CHARS, aligned, counted
 
 if TYPE_CHECKING:
     import argparse
@@ -34,6 +34,9 @@ Print a report that lss-play or walk wrote with --report, draw it, or compare tw
   lss-motion report before.json after.json      the numbers that differ
 """
 
+WELL_DEG: Final = 5.0
+"""A joint that was never further off has played well: half of the default of following_deg."""
+
 COMPARED: Final = ("timing", "buses", "joints")
 """The parts of two reports that are compared."""
 
@@ -45,7 +48,7 @@ def add_to(commands: Commands) -> None:
         "reports", type=Path, nargs="+", metavar="FILE", help="one report, or two to compare"
     )
     add_options(report, "--plot", help=f"{OPTIONS['--plot']['help']}; for one report only")
-    add_options(report, "--json", "--force")
+    add_options(report, "--json", "--verbose", "--force")
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -59,7 +62,7 @@ def _report(arguments: argparse.Namespace) -> int:
     shown = [] if arguments.json else zip(arguments.reports, found, strict=True)
     for path, report in shown:
         with _complete(path):
-            for line in report_lines(report):
+            for line in report_lines(report, is_whole=arguments.verbose):
                 say(line)
     if arguments.json:
         print_json(found[0] if len(found) == 1 else {"first": found[0], "second": found[1]})
@@ -136,48 +139,84 @@ def _sound_lines(sound: dict[str, Any] | None) -> list[str]:
     return [line]
 
 
-def report_lines(report: dict[str, Any]) -> list[str]:
-    """Return the lines that are printed at the end of a show."""
+def report_lines(report: dict[str, Any], *, is_whole: bool = False) -> list[str]:
+    """Return the lines that are printed at the end of a show.
+
+    `is_whole`: with how late commands were and how the buses were used.
+    """
     timing = report["timing"]
     planned = "endless" if report["planned_s"] is None else f"{report['planned_s']:.2f} s"
     simulated = ", simulated" if report["simulated"] else ""
     lines = [
         f"{report['sequence']}: {report['outcome']} after {report['played_s']:.2f} s of {planned}"
         f"{simulated}",
-        f"commands {timing['commands']}, missed {timing['missed']}, late p50 "
-        f"{timing['late_p50_us']} us, p99 {timing['late_p99_us']} us, max "
-        f"{timing['late_max_us']} us",
     ]
-    for name, bus in report["buses"].items():
-        lines.append(
-            f"bus {name}: {bus['baud_bps']} bps, {bus['tx_utilisation_ratio']:.0%} sent, "
-            f"{bus['queries']} queries, {bus['replies']} replies ({bus['query_rate_hz']:.0f}/s), "
-            f"{bus['timeouts']} timeouts, {bus['garbage']} garbage, {bus['rejected']} rejected"
-            + (f", {bus['unasked']} not asked for" if bus.get("unasked") else "")
-        )
-    if report["joints"]:
-        width = max(len(name) for name in [*report["joints"], "joint"])
-        has_truth = any("horn_error_rms_deg" in joint for joint in report["joints"].values())
-        head = f"{'joint':{width}}  readings  error rms   max  correction"
-        lines.append(head + ("  true horn rms   max   (deg)" if has_truth else "  (deg)"))
-        for name, joint in report["joints"].items():
-            seen = (  # An unmeasured value is shown as a dash, not as 0.
-                f"{joint['error_rms_deg']:9.2f} {joint['error_max_deg']:5.2f}"
-                if joint["readings"]
-                else f"{'-':>9} {'-':>5}"
-            )
-            line = (
-                f"{name:{width}}  {joint['readings']:8d}  {seen}  {joint['offset_max_deg']:10.2f}"
-            )
-            if "horn_error_rms_deg" in joint:
-                line += f"  {joint['horn_error_rms_deg']:13.2f} {joint['horn_error_max_deg']:5.2f}"
-            lines.append(line)
+    if report["outcome"] == "finished":
+        lines.append(_verdict(report["joints"], timing["missed"], timing["commands"]))
+    if is_whole:
+        lines += _traffic_lines(timing, report["buses"])
+    lines += _joint_lines(report["joints"])
     lines += _sound_lines(report.get("sound"))
     for fault in report.get("faults", []):
         named = f"joint {fault['joint']!r} " if fault["joint"] else ""
         lines.append(f"fault: {named}{fault['cause']} ({fault['step']})")
     lines += [f"warning: {text}" for text in report.get("warnings", [])]
     return lines
+
+
+def _verdict(joints: dict[str, Any], missed: int, commands: int) -> str:
+    """Return how well a show was played that came to its end."""
+    errors_deg = {
+        name: max(
+            joint["error_max_deg"] if joint["readings"] else 0.0,
+            joint.get("horn_error_max_deg", 0.0),
+        )
+        for name, joint in joints.items()
+        if joint["readings"] or "horn_error_max_deg" in joint
+    }
+    if missed:
+        late = f"{missed} of {counted(commands, 'command')}"
+        return f"played, but {late} could not be sent in time (see lss-motion doctor)"
+    if not errors_deg:
+        return "played; no joint was read: how far off they were is not known"
+    worst = max(errors_deg, key=lambda name: errors_deg[name])
+    unread = counted(len(joints) - len(errors_deg), "joint was", "joints were")
+    others = f"; {unread} not read" if len(errors_deg) < len(joints) else ""
+    if errors_deg[worst] > WELL_DEG:
+        return f"played, but joint {worst!r} was up to {errors_deg[worst]:.1f}° off{others}"
+    return f"played well: no joint more than {max(math.ceil(errors_deg[worst]), 1)}° off{others}"
+
+
+def _traffic_lines(timing: dict[str, Any], buses: dict[str, Any]) -> Iterator[str]:
+    yield (
+        f"commands {timing['commands']}, missed {timing['missed']}, late p50 "
+        f"{timing['late_p50_us']} us, p99 {timing['late_p99_us']} us, max "
+        f"{timing['late_max_us']} us"
+    )
+    for name, bus in buses.items():
+        yield (
+            f"bus {name}: {bus['baud_bps']} bps, {bus['tx_utilisation_ratio']:.0%} sent, "
+            f"{bus['queries']} queries, {bus['replies']} replies ({bus['query_rate_hz']:.0f}/s), "
+            f"{bus['timeouts']} timeouts, {bus['garbage']} garbage, {bus['rejected']} rejected"
+            + (f", {bus['unasked']} not asked for" if bus.get("unasked") else "")
+        )
+
+
+def _joint_lines(joints: dict[str, Any]) -> list[str]:
+    """Return the table of the joints; what was not measured is a dash, not a 0."""
+    if not joints:
+        return []
+    rows = [["joint", "readings", "error rms", "max", "correction"]]
+    has_truth = any("horn_error_rms_deg" in joint for joint in joints.values())
+    rows[0] += ["true horn rms", "max", "(deg)"] if has_truth else ["(deg)"]
+    for name, joint in joints.items():
+        errors = [joint["error_rms_deg"], joint["error_max_deg"]]
+        seen = [f"{deg:.2f}" for deg in errors] if joint["readings"] else ["-", "-"]
+        row = [name, str(joint["readings"]), *seen, f"{joint['offset_max_deg']:.2f}"]
+        true = [joint.get("horn_error_rms_deg"), joint.get("horn_error_max_deg")]
+        row += ["" if deg is None else f"{deg:.2f}" for deg in true * has_truth]
+        rows.append([*row, ""])
+    return aligned(rows, right=range(1, 7), most_chars=SCREEN_CHARS)
 
 
 WIDTH_IN: Final = 15.0
@@ -190,6 +229,12 @@ ROW_HEIGHT_MIN_IN: Final = 0.95
 LONG_S: Final = 60.0
 WIDE_IN: Final = 26.0
 """A longer show has a wider picture."""
+
+LATE_BARS_US: Final = tuple(1 << power for power in range(3, 13))
+"""Bars that every picture has, as `playing.player.due_moves` counts them: to 4 ms, so that no bar
+fills the picture."""
+LINES_LEAST: Final = 3
+"""Room for so many buses: the bar of one does not fill the picture."""
 
 TIMELINE_ROW_IN: Final = 0.3
 ANGLE_SHARE: Final = 0.6
@@ -210,7 +255,11 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
     """
     from lss_motion.planning.picture import Instant, Timeline, new_figure, save
 
-    joints = {name: joint for name, joint in report["joints"].items() if joint["trace"]["at_s"]}
+    joints = {
+        name: joint
+        for name, joint in report["joints"].items()
+        if joint["trace"]["at_s"] or joint.get("plan", {}).get("at_s")
+    }
     if not joints:
         raise InputError("no joint was read in this run, so there is nothing to draw")
     happened = report.get("timeline", [])
@@ -255,8 +304,8 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
             handles=timeline.handles(), loc="upper right", ncols=4, fontsize=8, frameon=False
         )
     late, lines = below.subplots(1, 2, width_ratios=[2.0, 1.0])
-    _lateness(late, report["timing"])
-    _lines(lines, report["buses"])
+    draw_lateness(late, report["timing"])
+    draw_buses(lines, report["buses"])
     simulated = ", simulated" if report["simulated"] else ""
     figure.suptitle(
         f"{report['sequence']} on {report['robot']}: {report['outcome']} after "
@@ -269,9 +318,10 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
 
 
 def _show_limits(axis: Any, joints: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
-    """Set the times that are drawn: those of all readings."""
-    first_s = min(joint["trace"]["at_s"][0] for joint in joints.values())
-    last_s = max(joint["trace"]["at_s"][-1] for joint in joints.values())
+    """Set the times that are drawn: those of all readings and plans."""
+    parts = [part for joint in joints.values() for part in (joint["trace"], joint.get("plan"))]
+    spans_s = [part["at_s"] for part in parts if part and part["at_s"]]
+    first_s, last_s = min(at_s[0] for at_s in spans_s), max(at_s[-1] for at_s in spans_s)
     room_s = 0.01 * max(last_s - first_s, 0.1)
     axis.set_xlim(first_s - room_s, last_s + room_s)
 
@@ -280,6 +330,7 @@ def _joint(row: Any, name: str, joint: dict[str, Any]) -> None:  # noqa: ANN401 
     """Draw the plan as a line and readings as dots, and beside it their difference.
 
     A report of an earlier version has no plan: then the line joins what was planned at readings.
+    A joint that was never read, such as an RC servo, has its plan alone.
     """
     import numpy as np
 
@@ -296,39 +347,56 @@ def _joint(row: Any, name: str, joint: dict[str, Any]) -> None:  # noqa: ANN401 
     angle.plot(line["at_s"], line["deg"], color=PLANNED, linewidth=0.9)
     angle.set_ylabel(name, fontsize=8)
     error.axhline(0.0, color=BAR, linewidth=0.6)
-    draw_curve(error, np.array(trace["at_s"]), np.array(off_deg), ERROR)
-    text = f"RMS {joint['error_rms_deg']:.2f}, max {joint['error_max_deg']:.2f}"
+    text = "not read"
+    if off_deg:
+        draw_curve(error, np.array(trace["at_s"]), np.array(off_deg), ERROR)
+        text = f"RMS {joint['error_rms_deg']:.2f}, max {joint['error_max_deg']:.2f}"
+    else:
+        error.set_yticks([0.0])
     error.text(
         0.99, 0.95, text, transform=error.transAxes, fontsize=7, ha="right", va="top", bbox=BOX
     )
     for axis in row:
-        axis.tick_params(labelsize=7)
         axis.grid(visible=True, linewidth=0.3)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
+        _plain(axis)
 
 
-def _lateness(axis: Any, timing: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
-    bars = timing["late_histogram_us"]
-    axis.bar(range(len(bars)), [count for _, count in bars], color=BAR)
-    axis.set_xticks(range(len(bars)), [f"≤{up_to}" for up_to, _ in bars], fontsize=7)
+def draw_lateness(axis: Any, timing: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
+    """Draw how many commands were how late, on a scale that is the same for small shows."""
+    counts = dict(map(tuple, timing["late_histogram_us"]))
+    up_to_us = sorted({*LATE_BARS_US, *counts})
+    found = axis.bar(range(len(up_to_us)), [counts.get(us, 0) for us in up_to_us], color=BAR)
+    axis.bar_label(found, [counts.get(us) or "" for us in up_to_us], fontsize=7)
+    axis.set_xticks(range(len(up_to_us)), [f"≤{us}" for us in up_to_us], fontsize=7)
     axis.set_yscale("symlog", linthresh=1.0)
+    axis.margins(y=0.15)
     axis.set_title(
-        f"lateness of {timing['commands']} commands, us: p50 {timing['late_p50_us']}, "
+        f"lateness of {counted(timing['commands'], 'command')}, us: p50 {timing['late_p50_us']}, "
         f"p99 {timing['late_p99_us']}, max {timing['late_max_us']}",
         fontsize=10,
         loc="left",
     )
-    axis.tick_params(labelsize=7)
+    _plain(axis)
 
 
-def _lines(axis: Any, buses: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
-    names = [f"{name} ({bus['baud_bps']} bps)" for name, bus in buses.items()]
+def draw_buses(axis: Any, buses: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
+    """Draw how much of each bus was used."""
+    names = [f"{name}, {bus['baud_bps']} bps" for name, bus in buses.items()]
     shares = [100.0 * bus["tx_utilisation_ratio"] for bus in buses.values()]
-    axis.barh(names, shares, color=BAR)
-    for index, bus in enumerate(buses.values()):
-        text = f" {bus['query_rate_hz']:.0f} queries/s, {bus['timeouts']} timeouts"
-        axis.text(0.0, index, text, fontsize=7, va="center")
+    found = axis.barh(range(len(names)), shares, height=0.5, color=BAR)
+    texts = [
+        f" {share:.0f} %, {bus['query_rate_hz']:.0f} queries/s, {bus['timeouts']} timeouts"
+        for share, bus in zip(shares, buses.values(), strict=True)
+    ]
+    axis.bar_label(found, texts, fontsize=7)
+    axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(-0.5, max(len(names), LINES_LEAST) - 0.5)
     axis.set_xlim(0.0, 100.0)
     axis.set_title("line in use, %", fontsize=10, loc="left")
+    _plain(axis)
+
+
+def _plain(axis: Any) -> None:  # noqa: ANN401  (axes)
     axis.tick_params(labelsize=7)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)

@@ -13,6 +13,7 @@ from lss_motion.cli.messages import StepLine, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.texts import counted
 from lss_motion.maintenance.survey import survey, unreadable
 
 if TYPE_CHECKING:
@@ -212,4 +213,4 @@ def _write_starter(path: Path, bus: Bus, looks: Sequence[ServoCondition]) -> Non
         raise BusError("no robot file was written: no servo has an id of its own")
     write_output(path, text)
     robot = load_robot(path)
-    say(f"wrote {path}: {len(robot.joints)} joints. Edit the ranges before you move it")
+    say(f"wrote {path}: {counted(robot.joints, 'joint')}. Edit the ranges before you move it")

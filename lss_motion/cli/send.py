@@ -10,6 +10,7 @@ from lss_motion.cli.commands import add_command, robot_at
 from lss_motion.cli.messages import agrees, put, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
+from lss_motion.files.texts import comma_text
 
 if TYPE_CHECKING:
     import argparse
@@ -262,7 +263,7 @@ def _number(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise InputError(f"{word!r} is not a number") from None
+        raise InputError(f"{word!r} is not a number{comma_text(word)}") from None
 
 
 def _reply_text(servo: _Servo, command: Command, value: int | str | None) -> str:

@@ -252,7 +252,7 @@ def import_labels(arguments: argparse.Namespace, track: LabelTrack, robot: Robot
 
 def _shortfall_lines(found: Shortfall, voiced: Voiced) -> list[str]:
     swing_deg = float(abs(voiced.asked_deg - voiced.asked_deg[0]).max())
-    openings = f"{found.openings} openings of up to {swing_deg:g} deg"
+    openings = f"{counted(found.openings, 'opening')} of up to {swing_deg:g} deg"
     if not found.less:
         return [f"{openings}: the servo makes all of them fully."]
     return [

@@ -22,6 +22,7 @@ from lss_motion.errors import (
     PlanningError,
 )
 from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
+from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
     import argparse
@@ -88,7 +89,7 @@ def add_to(commands: Commands) -> None:
     )
     add_options(walk, "--no-feedback")
     add_options(walk, "--force", help=UNLIMITED_HELP)
-    add_options(walk, "--seed", "--report", "--quiet", "--yes")
+    add_options(walk, "--seed", "--report", "--quiet", "--verbose", "--yes")
     add_options(
         walk, "--careful", help=OPTIONS["--careful"]["help"].replace("then play", "then walk")
     )
@@ -167,8 +168,8 @@ def _walked(
         for failed in (result.error, pilot.lost):
             if failed is not None:
                 raise failed
-        print_line(f"{pilot.taken} spans walked, {pilot.late} planned too late")
-        for line in report_lines(result.report.to_dict()):
+        print_line(f"{counted(pilot.taken, 'span')} walked, {pilot.late} planned too late")
+        for line in report_lines(result.report.to_dict(), is_whole=arguments.verbose):
             print_line(line)
         return _exit_code(result, terminal) or (EXIT_INPUT if problems else EXIT_FINISHED)
 
@@ -313,7 +314,7 @@ def _perform(
             has_feedback=not arguments.no_feedback,
             is_forced=arguments.force,
             observer=Observer(
-                on_event=lambda event: print_event(event, note),
+                on_event=lambda event: print_event(event, note, is_verbose=arguments.verbose),
                 on_turn=None if display is None else display.show,
                 controls=confirmation,
             ),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
+import sys
 from typing import TYPE_CHECKING, Final
 from unicodedata import category
 
@@ -42,6 +44,12 @@ def printable(text: str) -> str:
 
 LISTED_MAX: Final = 20
 """A longer list does not help the reader."""
+ALIKE_RATIO: Final = 0.5
+"""So near must a name be that begins with the same letter: `anker` is an `anchor` (0.55), although
+names are near from 0.6 on as a rule. Chosen."""
+SCREEN_CHARS: Final = 80
+"""Width of a terminal, as it opens everywhere."""
+_COMMA: Final = re.compile(r"\s*([-+]?\d+),(\d+)\s*", re.ASCII)
 
 
 def known_names(word: str, names: Iterable[str]) -> str:
@@ -50,28 +58,64 @@ def known_names(word: str, names: Iterable[str]) -> str:
     if not choices:
         return "there are none"
     by_lower = {name.lower(): name for name in reversed(choices)}
-    near = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    alike = [name for name in by_lower if name[:1] == word[:1].lower()]
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1) or difflib.get_close_matches(
+        word.lower(), alike, n=1, cutoff=ALIKE_RATIO
+    )
     meant = f"did you mean {by_lower[near[0]]!r}? " if near else ""
     listed = ", ".join(choices[:LISTED_MAX])
     more = f" and {len(choices) - LISTED_MAX} more" if len(choices) > LISTED_MAX else ""
     return f"{meant}there are: {listed}{more}"
 
 
-def counted(things: Sized, one: str, many: str | None = None) -> str:
-    """Return a count with its noun, such as `1 joint` or `5 joints`."""
-    return f"{len(things)} {one if len(things) == 1 else many or one + 's'}"
+def counted(things: Sized | int, one: str, many: str | None = None, *, mark: str = "") -> str:
+    """Return a count with its noun, such as `1 joint` or `5 joints`; `mark` divides thousands."""
+    count = things if isinstance(things, int) else len(things)
+    return f"{count:,} {one if count == 1 else many or one + 's'}".replace(",", mark)
 
 
-def aligned(rows: Sequence[Sequence[str]], right: Container[int] = ()) -> list[str]:
-    """Return the rows of a table as lines; the columns `right` are aligned to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+def comma_text(text: object) -> str:
+    """Return what to say of a number with a decimal comma, such as `0,5`; of all others nothing."""
+    number = _COMMA.fullmatch(text) if isinstance(text, str) else None
+    if number is None:
+        return ""
+    return f"; a decimal comma is written as a point: {number[1]}.{number[2]}"
+
+
+def aligned(
+    rows: Sequence[Sequence[str]],
+    right: Container[int] = (),
+    *,
+    spare: Sequence[int] = (),
+    most_chars: int = 0,
+) -> list[str]:
+    """Return the rows of a table as lines; the columns `right` are aligned to the right.
+
+    Of lines that would be longer than `most_chars`, the columns `spare` are left out, one after the
+    other, and then the texts of the first column are shortened; 0: lines may have any length.
+    """
+    widths = dict(enumerate(max(map(len, column)) for column in zip(*rows, strict=True)))
+
+    def beyond() -> int:
+        return sum(widths.values()) + 2 * (len(widths) - 1) - (most_chars or sys.maxsize)
+
+    for column in spare:
+        if beyond() > 0:
+            del widths[column]
+    if beyond() > 0:
+        widths[0] = max(widths[0] - beyond(), 1)
     return [
         "  ".join(
             text.rjust(width) if column in right else text.ljust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+            for column, width in widths.items()
+            for text in [_shortened(row[column], width)]
         ).rstrip()
         for row in rows
     ]
+
+
+def _shortened(text: str, most_chars: int) -> str:
+    return text if len(text) <= most_chars else f"{text[: most_chars - 1]}…"
 
 
 def duration_text(duration_s: float) -> str:

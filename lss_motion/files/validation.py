@@ -23,7 +23,7 @@ from typing import (
 from msgspec.structs import fields
 
 from lss_motion.files.keys import Bounds, Check, FileModel, Plain
-from lss_motion.files.texts import known_names
+from lss_motion.files.texts import comma_text, known_names
 from lss_motion.files.yaml_source import Location, Problem
 
 if TYPE_CHECKING:
@@ -170,7 +170,8 @@ def _checked(reader: Reader, rules: list[Callable[[Any], Any]]) -> Reader:
 def _scalar(kind: type | tuple[type, ...], rule: str) -> Reader:
     def read(value: object, place: Location, problems: list[Problem]) -> object:
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            problems.append(_problem(place, value, rule))
+            hint = comma_text(value) if kind is int else ""
+            problems.append(_problem(place, value, f"{rule}{hint}"))
         return value
 
     return read
@@ -178,7 +179,7 @@ def _scalar(kind: type | tuple[type, ...], rule: str) -> Reader:
 
 def _float(value: object, place: Location, problems: list[Problem]) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        problems.append(_problem(place, value, "must be a number"))
+        problems.append(_problem(place, value, f"must be a number{comma_text(value)}"))
         return 0.0
     try:
         number = float(value)

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
+from lss_motion.files.texts import comma_text, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -87,7 +88,9 @@ class YamlSource(Struct, frozen=True):
         )
         errors = [self._error(problem, line) for line, problem in placed]
         if len(errors) > PROBLEMS_MAX:
-            rest = InputError(f"and {len(errors) - PROBLEMS_MAX} more problems", path=self.path)
+            rest = InputError(
+                f"and {counted(len(errors) - PROBLEMS_MAX, 'more problem')}", path=self.path
+            )
             errors = [*errors[:PROBLEMS_MAX], rest]
         top = errors[0]
         return InputError(top.reason, path=top.path, line=top.line, more=errors[1:])
@@ -254,7 +257,8 @@ class _Builder:
             key = self._key(event)
             node = self._node(next(self._events), (*location, key))
             weight += 1 + node.weight
-            self._place((*location, key), event.start_mark.line + 1, node, lines)
+            before = next(reversed(value.values()), None)
+            self._place((*location, key), event.start_mark.line + 1, node, lines, before)
             value.pop(key, None)
             value[key] = node.value
         return _Node(value, lines, weight)
@@ -270,13 +274,19 @@ class _Builder:
             value.append(node.value)
         return _Node(value, lines, weight)
 
-    def _place(self, location: Location, line: int, node: _Node, lines: _Lines) -> None:
-        """Note where a key or an item is, and what is wrong with it."""
+    def _place(
+        self, location: Location, line: int, node: _Node, lines: _Lines, before: object = None
+    ) -> None:
+        """Note where a key or an item is, and what is wrong with it.
+
+        `before` is the value before it: in `{at_s: 0,5}` the comma ends the value of `at_s`.
+        """
         part = location[-1]
         if part in lines.of:
             self._problem(location, f"{part!r} is given twice, first in line {lines.of[part]}")
         elif node.value is None:
-            self._problem(location, f"{_name(part)} has no value; give one or remove it")
+            comma = comma_text(f"{before},{part}") if type(before) is int else ""
+            self._problem(location, f"{_name(part)} has no value; give one or remove it{comma}")
         lines.of[part] = line
         if node.lines is not None:
             lines.inside[part] = node.lines

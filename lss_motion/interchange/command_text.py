@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 from msgspec import Struct
 
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     BROADCAST_ID,
@@ -64,6 +65,7 @@ _LETTER: Final = re.compile(
 )
 """A letter between two numbers of a command, with spaces as in the manual of the SSC-32."""
 _TIME: Final = re.compile(r"T(\d{1,9})", re.ASCII)
+_PLURAL: Final = re.compile(r"(?<=wait)s|(?<=speed)s|(?<=command)s")
 _SPEED: Final = re.compile(r"SD?\d", re.ASCII)
 
 _WAIT: Final = re.compile(
@@ -274,8 +276,13 @@ class _CommandText:
             order = "at their instants"
         found = self.idle[:LISTED_MAX]
         if len(self.idle) > LISTED_MAX:
-            found.append(f"{len(self.idle) - LISTED_MAX} more lines that mean nothing here")
-        found += [f"{count} {what}" for what, count in sorted(self.left_out.items()) if count]
+            found.append(
+                f"{counted(len(self.idle) - LISTED_MAX, 'more line')} without a meaning here"
+            )
+        for what, count in sorted(self.left_out.items()):
+            found += [f"{count} {what if count > 1 else _PLURAL.sub('', what, count=1)}"] * bool(
+                count
+            )
         found.append("positions of the servos before their first command: the text has none")
         path = self.lines.path
         # Moves that do not end before the next command are a curve. Whole moves are poses.

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
-from lss_motion.files.texts import known_names
+from lss_motion.files.texts import counted, known_names
 from lss_motion.interchange.audacity import AudacityReader
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader
@@ -457,7 +457,7 @@ def _impossible_keyframes(
     by_name = {channel.name: channel for channel in motion.channels}
     for name, (_, index, reason) in worst.items():
         others = counts[name] - 1
-        more = f" (the worst; {others} more keyframes of it are as well)" if others else ""
+        more = f" (the worst; {counted(others, 'more keyframe')} of it as well)" if others else ""
         line = by_name[name].line_at(keyframes[index].at_s or 0.0)
         text = f"{_keyframe_text(index, keyframes[index])}: {reason}{more}; {CLIP_OFFER}"
         yield InputError(text, path=path, line=line)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, parse_xml
 from lss_motion.interchange.reader import Pose, Unit, motion_of_poses, read_or_refused, summarised
 from lss_motion.units import s_from_ms
@@ -118,7 +119,7 @@ def _motion(
     for number, frame in enumerate(frames, start=1):
         words = frame.text.split()
         if len(words) > len(names):
-            lines.refuse(frame.line, f"{len(words)} targets, a Maestro has {CHANNELS_MAX}")
+            lines.refuse(frame.line, f"{counted(words, 'target')}, a Maestro has {CHANNELS_MAX}")
         targets = [lines.whole(word, frame.line, TARGET_MAX) for word in words]
         left_out += [f"{names[i]} is switched off" for i, t in enumerate(targets) if t == OFF]
         end_ms += frame.duration_ms

@@ -142,7 +142,9 @@ def _motion(lines: TextLines, line: int, name: str, text: str) -> ForeignMotion:
         ]
         about += summarised(notes)
     if beyond:
-        about += summarised([f"{beyond} numbers after the {counted(skill.frames, 'frame')}"])
+        about += summarised(
+            [f"{counted(beyond, 'number')} after the {counted(skill.frames, 'frame')}"]
+        )
     about += summarised([f"roll {numbers[1]}, pitch {numbers[2]}"] * any(numbers[1:3]))
     for index, pose in enumerate(poses):
         poses[index] = Pose(at_s=pose.at_s, hold_s=pose.hold_s, values=pose.values, line=line)
@@ -171,7 +173,7 @@ def _skill(
     if not 0 < count <= JOINTS_COUNT:
         lines.refuse(
             line,
-            f"{name}: {len(numbers)} numbers do not make {abs(period)} frames of 1 to "
+            f"{name}: {counted(numbers, 'number')} do not make {abs(period)} frames of 1 to "
             f"{JOINTS_COUNT} joints: is the array cut short?",
         )
     end = header + size * abs(period)

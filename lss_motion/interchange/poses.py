@@ -21,6 +21,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.files.texts import counted
 from lss_motion.interchange.csv import (
     cells_of,
     csv_rows,
@@ -261,7 +262,7 @@ def _listed(
     """Return a list of angles by the names of the joints, or by their numbers from 1."""
     own = names if isinstance(names, list) else [f"J{n}" for n in range(1, len(listed) + 1)]
     if len(own) != len(listed) or len(set(own)) < len(own):
-        fields.refuse(f"{place} has {len(listed)} values for {len(set(own))} joints")
+        fields.refuse(f"{place} has {counted(listed, 'value')} for {counted(set(own), 'joint')}")
     return {
         str(joint): (fields.plain_number(value, f"{place}[{index}]"), unit)
         for index, (joint, value) in enumerate(zip(own, listed, strict=True))

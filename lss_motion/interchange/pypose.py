@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused
 from lss_motion.interchange.robotis import ax_deg
@@ -76,7 +77,7 @@ def _scales(lines: TextLines, line: int, head: str) -> list[Callable[[float], fl
     if len(sizes) == 1:
         sizes *= servos_count
     if len(sizes) != servos_count or not sizes:
-        lines.refuse(line, f"{len(sizes)} resolutions for {servos_count} servos")
+        lines.refuse(line, f"{counted(sizes, 'resolution')} for {counted(servos_count, 'servo')}")
     known = {AX_POSITIONS: ax_deg, MX_POSITIONS: lambda position: (position - 2048) * 360.0 / 4096}
     if odd := [size for size in sizes if size not in known]:
         lines.refuse(line, f"resolution {odd[0]} is not {AX_POSITIONS} or {MX_POSITIONS}")
@@ -88,7 +89,7 @@ def _angles(
 ) -> dict[str, float]:
     words = [word for word in text.split(",") if word.strip()]
     if len(words) != len(scales):
-        lines.refuse(number, f"{len(words)} positions for {len(scales)} servos")
+        lines.refuse(number, f"{counted(words, 'position')} for {counted(scales, 'servo')}")
     positions = [lines.whole(word, number, MX_POSITIONS) for word in words]
     pairs = enumerate(zip(positions, scales, strict=True), start=1)
     return {f"ID{servo}": scale(position) for servo, (position, scale) in pairs}

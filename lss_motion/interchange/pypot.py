@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
 from lss_motion.interchange.reader import Pose, motion_of_poses, summarised
 
@@ -34,7 +35,8 @@ class PypotReader(Struct, frozen=True):
         )
         found = [key for key in top if key not in {"framerate", "positions"} and top[key]]
         comments = (
-            f"Imported from {path.name} (pypot move): {len(poses)} samples at measured times.",
+            f"Imported from {path.name} (pypot move): {counted(poses, 'sample')} at measured "
+            "times.",
             *summarised(["recorded speeds", *found]),
         )
         return (motion_of_poses(path, path.stem, poses, comments=comments),)

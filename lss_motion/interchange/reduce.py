@@ -22,6 +22,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fitted_keys import fitted_together, without_spare_keys
 from lss_motion.interchange.reader import DIGITS, Unit
 from lss_motion.interchange.recorded import (
@@ -123,7 +124,10 @@ def reduced(
     lost = sum(bool(note.label) for note in motion.notes.values()) - sum(
         bool(note.label) for note in notes.values()
     )
-    comments = (*motion.comments, *([f"Not carried over: {lost} names of poses"] if lost else []))
+    comments = (
+        *motion.comments,
+        *([f"Not carried over: {counted(lost, 'name')} of poses"] if lost else []),
+    )
     return (
         replace(
             motion,

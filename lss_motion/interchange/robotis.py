@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from lss_motion.errors import InputError
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused, summarised
 
@@ -147,7 +148,7 @@ def _without_tail(data: bytes) -> tuple[bytes, list[str]]:
     tail = data[end:].strip(b"\r\n\t \0\x1a")
     if end < len(PAGE_END) or not tail or PAGE_BEGIN in tail:
         return data, []
-    return data[:end], [f"{len(tail)} bytes after the last page"]
+    return data[:end], [f"{counted(tail, 'byte')} after the last page"]
 
 
 def _parsed(lines: TextLines) -> tuple[list[int], list[_TextPage], list[str]]:
@@ -227,7 +228,7 @@ def _row(lines: TextLines, text: str, number: int, count: int) -> list[float]:
     if len(words) != count:
         is_last = number == max((at for at, _ in lines.numbered()), default=0)
         advice = ": the file was cut off, copy it again" if is_last else ""
-        lines.refuse(number, f"{len(words)} values, but {count} are required{advice}")
+        lines.refuse(number, f"{counted(words, 'value')}, but {count} are required{advice}")
     # Windows writes the times with the decimal sign of its language.
     return [lines.number(word, number, has_commas=True) for word in words]
 
@@ -249,7 +250,9 @@ def _text_motion(
     not_carried += ["compliance and inertia"] if page.has_compliance else []
     not_carried += outside[:OUTSIDE_MAX]
     if len(outside) > OUTSIDE_MAX:
-        not_carried.append(f"{len(outside) - OUTSIDE_MAX} more lines outside of the pages")
+        not_carried.append(
+            f"{counted(len(outside) - OUTSIDE_MAX, 'more line')} outside of the pages"
+        )
     return _page_motion(lines.path, page, steps, "512 = 0 deg", not_carried)
 
 
@@ -390,7 +393,7 @@ def _is_fine(pages: Sequence[_BinaryPage], unused: Sequence[int]) -> bool:
 def _binary_motion(path: Path, page: _BinaryPage, scale: _Scale) -> ForeignMotion:
     header = page.data
     if header[20] > STEPS_MAX:
-        raise _error(path, page, f"{header[20]} steps, at most {STEPS_MAX} have room")
+        raise _error(path, page, f"{counted(header[20], 'step')}, at most {STEPS_MAX} have room")
     if header[16] != TIME_BASED:
         raise _error(
             path, page, f"schedule {header[16]} gives speeds, not times; only {TIME_BASED} is read"

@@ -23,6 +23,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
+from lss_motion.files.texts import counted
 from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
 from lss_motion.interchange.fields import NUMBER_MAX, VALUE_MAX
 from lss_motion.interchange.reader import (
@@ -230,7 +231,9 @@ class _RosFile:
             names = [str(item.value) for item in self.items(message["name"], "'name'")]
             values = [self.number(item) for item in self.items(message["position"], "'position'")]
             if len(values) != len(names) or len(set(names)) < len(names):
-                self.refuse(node, f"{where} has {len(values)} positions for {len(names)} joints")
+                self.refuse(
+                    node, f"{where} has {counted(values, 'position')} for {counted(names, 'joint')}"
+                )
             poses.append(
                 Pose(
                     at_s=self._time(header["stamp"]),
@@ -275,7 +278,9 @@ class _RosFile:
             self.refuse(node, f"goal {name!r:.60} has no 'positions'")
         values = [self.number(value) for value in self.items(parts["positions"], name)]
         if len(values) != len(joints):
-            self.refuse(node, f"{name:.60} has {len(values)} positions for {len(joints)} joints")
+            self.refuse(
+                node, f"{name:.60} has {counted(values, 'position')} for {counted(joints, 'joint')}"
+            )
         needed_s = self._time(parts["time_from_start"]) if "time_from_start" in parts else GOAL_S
         reached_s = min(max(needed_s, 0.0), wait_s)
         return Pose(
@@ -319,7 +324,9 @@ class _RosFile:
                 self.refuse(item, f"{where} has no 'time_from_start'")
             values = [self.number(value) for value in self.items(point["positions"], where)]
             if len(values) != len(names):
-                self.refuse(item, f"{where} has {len(values)} positions for {len(names)} joints")
+                self.refuse(
+                    item, f"{where} has {counted(values, 'position')} for {counted(names, 'joint')}"
+                )
             self.left_out += [key for key in _POINT_EXTRAS if key in point and point[key].value]
             yield Pose(
                 at_s=self._time(point["time_from_start"]),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, summarised, unit_of_ros_joint
 from lss_motion.units import s_from_ms
@@ -121,7 +122,7 @@ def _pose(table: _Table, number: int, cells: list[str], at_s: float) -> Pose:
     has_label = len(cells) == len(names) + 2
     values = cells[2 if has_label else 1 :]
     if len(values) != len(names):
-        lines.refuse(number, f"{len(values)} values for {len(names)} joints")
+        lines.refuse(number, f"{counted(values, 'value')} for {counted(names, 'joint')}")
     return Pose(
         at_s=at_s,
         values={

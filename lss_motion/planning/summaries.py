@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, to_builtins
 
 from lss_motion.errors import InputError, install_command
+from lss_motion.files.texts import counted
 from lss_motion.show.functions import call_lines, calls_of
 from lss_motion.system.clock_leg import RATE_BAND
 
@@ -85,8 +86,6 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
 
     `is_whole`: all slow spans and late keyframes, not only the worst ten.
     """
-    from lss_motion.files.texts import counted
-
     length = "forever" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     passes = "" if trajectory.loop == 1 else f", one pass {trajectory.middle.duration_s:.3f} s"
     lines = [f"{trajectory.name}: {length}{passes}, {counted(trajectory.joints, 'joint')} moved"]
@@ -112,8 +111,6 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
 
 def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return how many spans are slowed, by how much and by which joint, then the worst."""
-    from lss_motion.files.texts import counted
-
     spans = sorted(trajectory.stretched, key=lambda span: -span.by_s)
     if not spans:
         return []
@@ -135,8 +132,6 @@ def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
 
 def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return how much angle is given up to keep the time, the worst spans, and missed keys."""
-    from lss_motion.files.texts import counted
-
     spans = sorted(trajectory.given_up, key=lambda span: -span.by_deg)
     if not spans:
         return []
@@ -174,8 +169,6 @@ def _missed_lines(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) ->
 
 def _keys_text(keys: Sequence[MissedKey], *, is_whole: bool) -> str:
     """Return how many keys are missed, and by how much, the worst first."""
-    from lss_motion.files.texts import counted
-
     worst = sorted(keys, key=lambda key: -abs(key.given_deg - key.asked_deg))
     shown = worst if is_whole else worst[:MISSED_COUNT]
     texts = [
@@ -190,8 +183,6 @@ def _keys_text(keys: Sequence[MissedKey], *, is_whole: bool) -> str:
 
 def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return how many keyframes are late, then the latest."""
-    from lss_motion.files.texts import counted
-
     if not _has_times(trajectory):
         return ["the file gives no times"] if not trajectory.stretched else []
     found = late_marks(trajectory)
@@ -208,8 +199,6 @@ def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
 
 def _rest_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return which rests without a hold became shorter, those that lost most first."""
-    from lss_motion.files.texts import counted
-
     found = shortened_rests(trajectory)
     shown = found if is_whole else found[:WORST_COUNT]
     lines = [
@@ -233,8 +222,6 @@ def smoothings(trajectory: Trajectory) -> list[Smoothing]:
 
 def _smooth_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return what it costs that the acceleration does not jump: time, angle at and between keys."""
-    from lss_motion.files.texts import counted
-
     found = [own for own in smoothings(trajectory) if own.jerk_max_deg_s3 > 0.0]
     if not found:
         return []
@@ -380,9 +367,9 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
     program = show.program
     for use in program.line_use.values():
         lines.append(
-            f"bus {use.bus}: {use.commands} commands, {use.utilisation_ratio:.1%} of "
+            f"bus {use.bus}: {counted(use.commands, 'command')}, {use.utilisation_ratio:.1%} of "
             f"{use.baud_bps} bps, {use.worst_100_ms_ratio:.0%} in the worst 100 ms, "
-            f"{use.overlaps} overlaps, at most {use.late_max_us} us late"
+            f"{counted(use.overlaps, 'overlap')}, at most {use.late_max_us} us late"
         )
         if math.isfinite(use.reading_rate_hz):
             least_hz = show.robot.buses[use.bus].reading_rate_min_hz
@@ -426,7 +413,6 @@ def advice_of(show: Show) -> tuple[EaseAdvice, ...]:
 
 def advice_lines(show: Show, *, is_whole: bool) -> list[str]:
     """Return the lines of `advice_of`; `is_whole`: with all keyframes, not only the first ten."""
-    from lss_motion.files.texts import counted
     from lss_motion.planning.trajectory.eases import OTHER
     from lss_motion.planning.trajectory.keys import named
 
@@ -533,7 +519,6 @@ def robot_lines(robot: Robot) -> list[str]:
 
     Raises `InputError` if the URDF file of its figure is wrong.
     """
-    from lss_motion.files.texts import counted
     from lss_motion.show.gait.kinematics import figure_of
 
     counts = [counted(robot.joints, "joint"), counted(robot.poses, "pose")]
@@ -594,9 +579,12 @@ def robot_as_json(robot: Robot) -> dict[str, Any]:
 
 def fit_text(fit: KeyFit) -> str:
     """Return the text about the reduction of a recording to keys."""
+    counts = ((fit.samples_count, "sample"), (fit.keys_count, "key"))
+    samples, keys = (counted(count, one, mark=",") for count, one in counts)
     return (
-        f"Reduced from {fit.samples_count:,} samples to {fit.keys_count:,} keys in "
-        f"{fit.keyframes_count:,} keyframes: at most {fit.error_max_deg:.2f} deg off (joint "
+        f"Reduced from {samples} to {keys} in "
+        f"{counted(fit.keyframes_count, 'keyframe', mark=',')}: at most "
+        f"{fit.error_max_deg:.2f} deg off (joint "
         f"{fit.joint} at {fit.at_s:.2f} s), {fit.error_rms_deg:.2f} deg RMS."
     )
 
@@ -622,7 +610,7 @@ def sound_lines(program: Program) -> list[str]:
             lines.append(f"{line} (not examined: {install_command('sound')})")
             continue
         length_s = info.duration_s / style.speed_ratio
-        line += f": {length_s:.2f} s, {info.rate_hz} Hz, {info.channels} channels"
+        line += f": {length_s:.2f} s, {info.rate_hz} Hz, {counted(info.channels, 'channel')}"
         if info.channels > 2:
             line += ", mixed to 2"
         if abs(style.speed_ratio - 1.0) > RATE_BAND:

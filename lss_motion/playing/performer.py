@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.texts import counted
 from lss_motion.playing.performer_process import (
     CLOSE_S,
     CueDone,
@@ -121,9 +122,8 @@ class Performer:
             texts.append(f"a sound was stopped that did not end {CLOSE_S:g} s after the show")
         if self._printed:
             shown = "".join(f"\n  {line}" for line in self._printed)
-            texts.append(
-                f"functions and sounds printed {self._printed_count} lines; the last:{shown}"
-            )
+            lines = counted(self._printed_count, "line")
+            texts.append(f"functions and sounds printed {lines}; the last:{shown}")
         return texts
 
     def _problem(self) -> str:

@@ -177,7 +177,7 @@ class Report(Struct, frozen=True, kw_only=True):
         counts = ", ".join(
             (
                 counted(self.joints, "joint"),
-                f"{self.timing.commands} commands",
+                f"{counted(self.timing.commands, 'command')}",
                 f"{self.timing.missed} missed",
                 counted(self.faults, "fault"),
             )

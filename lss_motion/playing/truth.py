@@ -17,6 +17,7 @@ import numpy as np
 from msgspec import Struct
 
 from lss_motion.files.output import write_output
+from lss_motion.files.texts import counted
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class Truth(Struct, frozen=True, kw_only=True):
     horn_deg: NDArray[np.float64]
 
     def __repr__(self) -> str:
-        return f"Truth({len(self.times_s)} samples of {', '.join(self.joints)})"
+        return f"Truth({counted(self.times_s, 'sample')} of {', '.join(self.joints)})"
 
 
 class TruthRecorder:

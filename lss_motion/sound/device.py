@@ -8,6 +8,7 @@ against these instants: the crystal of a device is 20 to 100 ppm off, and the st
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 import time
 from collections import deque
@@ -23,6 +24,7 @@ from lss_motion.system.closing import Closing
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from types import ModuleType
 
     from lss_motion.sound.mixer import Mixer
@@ -51,10 +53,24 @@ class SoundDevice(Struct, frozen=True, kw_only=True):
     is_default: bool
 
 
+@contextlib.contextmanager
+def quiet_drivers() -> Iterator[None]:
+    """Drop what drivers print on standard error: ALSA names each device that it tries in vain."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):  # Standard error may be closed.
+            kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+            stack.callback(os.close, kept)
+            stack.callback(os.dup2, kept, 2)
+            os.dup2(null, 2)
+            os.close(null)
+        yield
+
+
 def sounddevice_module() -> ModuleType:
     """Return the library that plays; raises `NoDeviceError` without it."""
     try:
-        import sounddevice
+        with quiet_drivers():
+            import sounddevice
     except ImportError as error:
         raise NoDeviceError(
             f"playing sound on time needs a library: {install_command('sound')}"
@@ -71,8 +87,9 @@ def devices(way: Literal["output", "input"] = "output") -> list[SoundDevice]:
     Raises `NoDeviceError` if the library is missing.
     """
     library = sounddevice_module()
-    default = library.default.device[1 if way == "output" else 0]
-    drivers = library.query_hostapis()
+    with quiet_drivers():
+        default = library.default.device[1 if way == "output" else 0]
+        drivers, known = library.query_hostapis(), library.query_devices()
     return [
         SoundDevice(
             name=found["name"],
@@ -82,7 +99,7 @@ def devices(way: Literal["output", "input"] = "output") -> list[SoundDevice]:
             latency_s=found[f"default_low_{way}_latency"],
             is_default=index == default,
         )
-        for index, found in enumerate(library.query_devices())
+        for index, found in enumerate(known)
         if found[f"max_{way}_channels"] > 0
     ]
 
@@ -184,13 +201,16 @@ def play_tone(name: str = "") -> tuple[SoundDevice, float]:
     tone = (TONE_RATIO * fade * np.sin(2.0 * np.pi * TONE_HZ * times_s)).astype(np.float32)
     channels = min(STEREO, device.channels)
     try:
-        with library.OutputStream(
-            device=device.name,
-            samplerate=rate_hz,
-            channels=channels,
-            dtype="float32",
-            latency=LATENCY_S,
-        ) as stream:
+        with (
+            quiet_drivers(),
+            library.OutputStream(
+                device=device.name,
+                samplerate=rate_hz,
+                channels=channels,
+                dtype="float32",
+                latency=LATENCY_S,
+            ) as stream,
+        ):
             stream.write(np.repeat(tone[:, None], channels, axis=1))
             latency_s = float(stream.latency)
     except library.PortAudioError as error:

@@ -15,13 +15,15 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec import Struct
+
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
-from lss_motion.files.texts import counted
+from lss_motion.files.texts import aligned, counted
 from lss_motion.stage.log import FAULT_PREFIX, PREFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from matplotlib.figure import Figure
@@ -287,45 +289,93 @@ def advice(night: Night) -> list[str]:
 # ---- as text, JSON, HTML
 
 
-def text_of(night: Night) -> list[str]:
-    """Return the night for people."""
+class Part(Struct, frozen=True, kw_only=True):
+    """A part of what is told of a night: a table with its head, or lines."""
+
+    title: str = ""
+    head: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    right: range = range(0)
+    """The columns of numbers."""
+    lines: tuple[str, ...] = ()
+
+
+def parts_of(night: Night) -> list[Part]:
+    """Return what is told of a night."""
+    found = advice(night)
+    shows = sorted(night.shows.items(), key=lambda item: -item[1].plays)
+    cues = sorted(night.cues.items(), key=lambda item: -item[1].fired)
+    parts = [
+        Part(lines=tuple(_summary(night))),
+        Part(
+            title="shows",
+            head=("show", "plays", "finished", "left", "minutes", "worst error"),
+            right=range(1, 5),
+            rows=tuple(
+                (
+                    name,
+                    str(show.plays),
+                    str(show.outcomes["finished"]),
+                    str(show.outcomes["left"]),
+                    f"{show.played_s / 60:.1f}",
+                    f"{show.error_max_deg:.1f} deg {show.worst}".rstrip(),
+                )
+                for name, show in shows
+            ),
+        ),
+        Part(
+            title="cues",
+            head=("cue", "fired", "refused"),
+            right=range(1, 2),
+            rows=tuple(row for one in cues for row in _cue_rows(*one)),
+        ),
+    ]
+    if night.rests_s:
+        rests = tuple(f"{reason} {s / 60:.0f} min" for reason, s in night.rests_s.items())
+        parts.append(Part(title="rested", lines=rests))
+    if night.faults:
+        faults = tuple(f"{one.at}  {one.text}" + _after(one) for one in night.faults)
+        parts.append(Part(title="faults", lines=faults))
+    if night.player_faults:
+        handled = tuple(f"{count} x {what}" for what, count in night.player_faults.items())
+        parts.append(Part(title="met by on_fault", lines=handled))
+    return [*parts, Part(title="look at" if found else "nothing to look at", lines=tuple(found))]
+
+
+def _summary(night: Night) -> Iterator[str]:
     span_s = (night.ends - night.begins).total_seconds()
     plays = sum(show.plays for show in night.shows.values())
-    lines = [
+    yield (
         f"{night.begins:%Y-%m-%d %H:%M} to {night.ends:%Y-%m-%d %H:%M} ({span_s / 3600:.1f} h): "
-        f"{plays} plays, {counted(night.faults, 'fault')}" + (", GAVE UP" if night.given_up else "")
-    ]
+        f"{counted(plays, 'play')}, {counted(night.faults, 'fault')}"
+        + (", GAVE UP" if night.given_up else "")
+    )
     if night.hottest_c is not None:
-        lines.append(f"hottest: {night.hottest} {night.hottest_c:.0f} C at {night.hottest_at}")
+        yield f"hottest: {night.hottest} {night.hottest_c:.0f} C at {night.hottest_at}"
     if night.worst:
-        lines.append(
-            f"worst error: {night.worst} {night.error_max_deg:.1f} deg in {night.worst_show}"
-        )
+        yield f"worst error: {night.worst} {night.error_max_deg:.1f} deg in {night.worst_show}"
     if night.restarts:
-        lines.append(f"began anew: {counted(range(night.restarts), 'time')}")
-    lines += ["", "show            plays  finished  left  minutes  worst error"]
-    for name, show in sorted(night.shows.items(), key=lambda item: -item[1].plays):
-        lines.append(
-            f"{name:14}  {show.plays:5}  {show.outcomes['finished']:8}  {show.outcomes['left']:4}"
-            f"  {show.played_s / 60:7.1f}  {show.error_max_deg:.1f} deg {show.worst}"
-        )
-    lines += ["", "cue             fired  refused"]
-    for name, cue in sorted(night.cues.items(), key=lambda item: -item[1].fired):
-        reasons = ", ".join(f"{count} x {reason}" for reason, count in cue.refused.most_common())
-        lines.append(f"{name:14}  {cue.fired:5}  {reasons or '-'}")
-        lines += [f"{'':14}  {count:5} not played: {why}" for why, count in cue.not_played.items()]
-    if night.rests_s:
-        rests = [f"{reason} {s / 60:.0f} min" for reason, s in night.rests_s.items()]
-        lines += ["", "rested: " + "; ".join(rests)]
-    if night.faults:
-        lines += ["", "faults"]
-        lines += [f"  {one.at}  {one.text}" + _after(one) for one in night.faults]
-    if night.player_faults:
-        handled = ", ".join(f"{count} x {what}" for what, count in night.player_faults.items())
-        lines += ["", f"met by on_fault: {handled}"]
-    found = advice(night)
-    lines += ["", "look at" if found else "nothing to look at"]
-    return lines + [f"  - {one}" for one in found]
+        yield f"began anew: {counted(night.restarts, 'time')}"
+
+
+def _cue_rows(name: str, cue: CueNight) -> Iterator[tuple[str, str, str]]:
+    reasons = ", ".join(f"{count} x {reason}" for reason, count in cue.refused.most_common())
+    yield name, str(cue.fired), reasons or "-"
+    for why, count in cue.not_played.items():
+        yield "", str(count), f"not played: {why}"
+
+
+def text_of(night: Night) -> list[str]:
+    """Return the night for people."""
+    lines: list[str] = []
+    for part in parts_of(night):
+        if part.head:
+            lines += ["", *aligned([part.head, *part.rows], right=part.right)]
+        elif part.title:
+            lines += ["", part.title, *(f"  - {line}" for line in part.lines)]
+        else:
+            lines += part.lines
+    return lines
 
 
 def _after(fault: FaultNight) -> str:
@@ -347,24 +397,52 @@ PAGE: Final = """<!doctype html>
 <style>
 body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
        color: #1f2933; background: #fff }}
-pre {{ overflow-x: auto; font-size: 14px }} svg {{ max-width: 100%; height: auto }}
+h2 {{ font-size: 1.1rem; margin: 1.5rem 0 .3rem }} p, ul {{ margin: .2rem 0 }}
+div {{ overflow-x: auto }} table {{ border-collapse: collapse }}
+th, td {{ text-align: left; padding: .2rem 1.2rem .2rem 0; border-bottom: 1px solid #cbd2d9 }}
+.n {{ text-align: right; font-variant-numeric: tabular-nums }}
+svg {{ max-width: 100%; height: auto }}
 @media (prefers-color-scheme: dark) {{ body {{ color: #e4e7eb; background: #1f2933 }}
-  svg {{ background: #fff; border-radius: 4px }} }}
+  th, td {{ border-color: #52606d }} svg {{ background: #fff; border-radius: 4px }} }}
 </style>
 <h1>{title}</h1>
-<pre>{text}</pre>
+{parts}
 {plots}
 </html>
 """
 
 
 def html_of(night: Night, name: str) -> str:
-    """Return the night as a page that needs no other file."""
+    """Return the night as a page that needs no other file; what to look at comes first."""
+    summary, *others, look_at = parts_of(night)
     return PAGE.format(
         title=html.escape(f"{name}, {night.begins:%Y-%m-%d}"),
-        text=html.escape("\n".join(text_of(night))),
+        parts="\n".join(map(_html_part, (summary, look_at, *others))),
         plots=_svg(_figure(night)),
     )
+
+
+def _html_part(part: Part) -> str:
+    title = f"<h2>{html.escape(part.title)}</h2>\n" if part.title else ""
+    if part.head:
+        rows = [_html_row("th", part.head, part.right)]
+        rows += [_html_row("td", row, part.right) for row in part.rows]
+        return f"{title}<div><table>\n{''.join(rows)}</table></div>"
+    lines = [html.escape(line) for line in part.lines]
+    if not part.title:
+        return "\n".join(f"<p>{line}</p>" for line in lines)
+    items = "\n".join(f"<li>{line}</li>" for line in lines)
+    return f"{title}<ul>\n{items}\n</ul>" if items else title
+
+
+def _html_row(tag: str, cells: Sequence[str], right: range) -> str:
+    shown = [
+        f"<{tag} class=n>{html.escape(cell)}</{tag}>"
+        if column in right
+        else f"<{tag}>{html.escape(cell)}</{tag}>"
+        for column, cell in enumerate(cells)
+    ]
+    return f"<tr>{''.join(shown)}</tr>\n"
 
 
 def _figure(night: Night) -> Figure:
@@ -385,8 +463,10 @@ def _figure(night: Night) -> Figure:
             axis.plot(*zip(*points, strict=True), color=colour, linewidth=1.0)
         axis.set_title(title, fontsize=10, loc="left", color=TEXT)
     hours = max(1, round((night.ends - night.begins).total_seconds() / 3600.0))
+    span = night.begins, max(night.ends, night.begins + timedelta(hours=1))
+    hot.set_xlim(*span)
     if night.plays_at:
-        plays.hist(night.plays_at, bins=min(hours * 4, 200), color=KEYFRAME)
+        plays.hist(night.plays_at, bins=min(hours * 4, 200), range=span, color=KEYFRAME)
     plays.set_title("shows in a quarter of an hour", fontsize=10, loc="left", color=TEXT)
     clock = DateFormatter("%H:%M", tz=night.begins.tzinfo)  # type: ignore[no-untyped-call]
     plays.xaxis.set_major_formatter(clock)

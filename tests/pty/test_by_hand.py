@@ -208,7 +208,7 @@ def test_jog_moves_within_the_range_and_keeps_poses_in_the_robot_file(tmp_path):
 
 def test_a_held_key_and_a_flood_of_keys_delay_no_stop(tmp_path):
     """150 poses were written, one after the other, before the stop behind them was read."""
-    with simulated(tmp_path) as (bus, _), person(tmp_path, "jog") as someone:
+    with simulated(tmp_path) as (bus, _), person(tmp_path, "jog", "--pose", "pose") as someone:
         someone.wait_for("keep pose")
         someone.press("\x1b[C")
         someone.press("c" * 2000)

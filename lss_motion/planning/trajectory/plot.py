@@ -95,7 +95,8 @@ def plot(
     for axis in axes[: 1 + len(sound_in)].flat:
         axis.axis("off")
     if sound_in:
-        _sounds(axes[1][0], sounds, all_beats(trajectory, beats_s, end_s), end_s)
+        beats = all_beats(trajectory, beats_s, end_s)
+        _sounds(axes[1][0], sounds, beats, (end_s, angle_in))
         axes = np.delete(axes, 1, axis=0)
     if timeline.rows:
         axes[0][0].axis("on")
@@ -210,12 +211,21 @@ def all_beats(trajectory: Trajectory, beats_s: Sequence[float], end_s: float) ->
     return np.concatenate(found)
 
 
-def _sounds(axis: Any, cues: Sequence[Cue], beats_s: FloatArray, end_s: float) -> None:  # noqa: ANN401
-    """Draw the sounds of the show with their loudness, and its beats over them."""
+def _sounds(
+    axis: Any,  # noqa: ANN401
+    cues: Sequence[Cue],
+    beats_s: FloatArray,
+    size: tuple[float, float],
+) -> None:
+    """Draw the sounds of the show with their loudness, and its beats over them.
+
+    `size` is how long the show is, and how wide the axes are in inches.
+    """
     from lss_motion.sound.envelope import draw_beats, draw_waveform, waveform
     from lss_motion.sound.files import SoundPart
 
     axis.axis("on")
+    end_s, width_in = size
     problems = []
     for cue in cues[:SOUNDS_MAX]:
         lasts_s = min(cue.style.lasts_s or np.inf, end_s - cue.at_s)
@@ -228,7 +238,7 @@ def _sounds(axis: Any, cues: Sequence[Cue], beats_s: FloatArray, end_s: float) -
             problems.append(f"{Path(cue.sound).name} is not drawn: {error.reason}")
             continue
         draw_waveform(axis, wave, cue.at_s, ratio)
-    draw_beats(axis, beats_s, 0.0, end_s)
+    draw_beats(axis, beats_s, (0.0, end_s), width_in)
     for number, text in enumerate(dict.fromkeys(problems)):
         axis.text(
             0.0,

@@ -108,7 +108,8 @@ class TimecodeSource(Closing):
         """Open it; raises `InputError` if that fails. Without `waits` it opens later."""
         self._process = _TimecodeProcess(receive.__name__, spec, waits=waits)
         if waits and not self._process.text:
-            raise InputError(f"--follow {spec.kind}: {'; '.join(self._process.problems)}")
+            reason = "; ".join(self._process.problems)
+            raise InputError(f"timecode of {spec.kind} cannot be followed: {reason}")
         self._texts: list[str] = []
         self._is_named = False
 
@@ -156,7 +157,8 @@ class TimecodeOut(Closing):
         """Open the receiver; raises `InputError` if that fails."""
         self._process = _TimecodeProcess(send.__name__, spec)
         if not self._process.text:
-            raise InputError(f"--send {spec.kind}: {'; '.join(self._process.problems)}")
+            reason = "; ".join(self._process.problems)
+            raise InputError(f"timecode cannot be sent by {spec.kind}: {reason}")
         self._leg: ClockLeg | None = None
         self._is_ended = False
 

@@ -92,7 +92,6 @@ def test_a_show_follows_many_times_better_with_what_was_identified(
     [
         (["pann"], 2, "unknown joint 'pann'; did you mean 'pan'?"),
         (["pan", "--span-deg", "2"], 2, "too little to measure"),
-        (["pan", "--span-deg", "nan"], 2, "too little to measure"),
         (["pan", "-o", "robot.yaml"], 2, "choose another name"),
         (["pan", "-o", "nowhere/found.yaml"], 2, "folder does not exist"),
         (["pan", "--port", "/dev/does-not-exist"], 2, "add --yes"),

@@ -77,7 +77,22 @@ def test_a_virtual_show_ends_with_a_report_a_truth_and_a_log(folder, capsys):
     assert sent[-1].data.endswith(b"#254H\r")
     printed = capsys.readouterr().out
     assert "simulated" in printed
+    assert "played well: no joint more than 1° off" in printed
+    assert "p99" not in printed
+
+
+def test_numbers_about_the_bus_come_with_verbose(folder, capsys):
+    assert main([str(folder / "nod.yaml"), "--virtual", "--verbose"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.index("played well") < printed.index("p99") < printed.index("replies (")
     assert "missed 0" in printed
+
+
+@pytest.mark.parametrize("option", ["--speed", "--freewheel"])
+def test_an_option_with_a_decimal_comma_names_it(folder, capsys, option):
+    with pytest.raises(SystemExit):
+        main([str(folder / "nod.yaml"), option, "0,5"])
+    assert "a decimal comma is written as a point: 0.5" in capsys.readouterr().err
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_other_ones(folder):

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from lss_motion.cli.main import main
+from lss_motion.cli.report import draw_buses, draw_lateness, plot_report, report_lines
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT
 
 
@@ -63,6 +66,32 @@ def test_faults_and_warnings_are_printed_and_that_of_a_port_names_no_joint(
     ]
 
 
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({"error_max_deg": 0.01}, "played well: no joint more than 1° off"),
+        ({"error_max_deg": 1.01}, "played well: no joint more than 2° off"),
+        ({"error_max_deg": 7.26}, "played, but joint 'base' was up to 7.3° off"),
+        ({"readings": 0}, "played well: no joint more than 1° off; 1 joint was not read"),
+    ],
+)
+def test_the_end_of_a_show_says_how_well_it_was_played(played, changes, verdict):
+    report = json.loads((played / "a.json").read_text())
+    report["timing"]["missed"] = 0
+    for joint in report["joints"].values():
+        joint |= {"error_max_deg": 0.5}
+        del joint["horn_error_rms_deg"], joint["horn_error_max_deg"]
+    report["joints"]["base"] |= changes
+    assert report_lines(report)[1] == verdict
+    for joint in report["joints"].values():
+        joint["readings"] = 0
+    assert report_lines(report)[1].startswith("played; no joint was read")
+    report["timing"]["missed"] = 3
+    assert report_lines(report)[1].startswith("played, but 3 of ")
+    report["outcome"] = "stopped"
+    assert not any(line.startswith("played") for line in report_lines(report))
+
+
 def test_what_nobody_has_measured_is_shown_as_no_zero(played, tmp_path, capsys):
     report = json.loads((played / "a.json").read_text())
     report["joints"]["base"] |= {"readings": 0, "error_rms_deg": 0.0, "error_max_deg": 0.0}
@@ -98,11 +127,39 @@ def test_a_report_is_drawn_with_what_was_read_of_every_joint(played, tmp_path, c
     capsys.readouterr()
 
 
+def test_a_joint_that_reports_nothing_is_drawn_with_its_plan(played, tmp_path, monkeypatch):
+    """An RC servo: it was left out of the picture."""
+    import matplotlib as mpl
+
+    monkeypatch.setitem(mpl.rcParams, "svg.fonttype", "none")
+    report = json.loads((played / "a.json").read_text())
+    for name in ("base", "wrist"):
+        report["joints"][name] |= {"readings": 0}
+        report["joints"][name]["trace"] = {"at_s": [], "planned_deg": [], "measured_deg": []}
+    plot_report(report, tmp_path / "a.svg")
+    drawn = (tmp_path / "a.svg").read_text()
+    assert all(f">{name}<" in drawn for name in report["joints"])
+    assert drawn.count("not read") == 2
+
+
+def test_one_bar_of_a_picture_does_not_fill_it(played, tmp_path):
+    report = json.loads((played / "a.json").read_text())
+    report["timing"]["late_histogram_us"] = [[8, 100]]
+    figure = Figure()
+    late, lines = figure.subplots(1, 2)
+    draw_lateness(late, report["timing"])
+    draw_buses(lines, report["buses"])
+    assert len(late.patches) >= 8
+    assert all(bar.get_width() < 0.2 * np.ptp(late.get_xlim()) for bar in late.patches)
+    assert all(bar.get_height() < 0.2 * np.ptp(lines.get_ylim()) for bar in lines.patches)
+
+
 def test_what_cannot_be_drawn_is_refused_and_nothing_is_written(played, tmp_path, capsys):
     one, picture = str(played / "a.json"), tmp_path / "a.svg"
     report = json.loads((played / "a.json").read_text())
     for joint in report["joints"].values():
         joint["trace"] = {"at_s": [], "planned_deg": [], "measured_deg": []}
+        joint["plan"] = {"at_s": [], "deg": []}
     (tmp_path / "unread.json").write_text(json.dumps(report))
     for arguments, words in (
         ([one, one, "--plot", str(picture)], "lss-motion: --plot draws one report"),

@@ -32,7 +32,7 @@ def test_ssc32_groups_share_the_time_at_their_end(read_one) -> None:
     motion = read_one(CommandReader(), "#5P1500#7P600S200T1000\n#5P1600T500\n")
     assert keys(motion) == {"PIN5": [(1.0, 1500.0), (1.5, 1600.0)], "PIN7": [(1.0, 600.0)]}
     assert motion.channels[0].unit is Unit.US
-    assert "Not carried over: 1 speeds (S, SD)" in motion.comments
+    assert "Not carried over: 1 speed (S, SD)" in motion.comments
 
 
 @pytest.mark.parametrize(
@@ -66,8 +66,8 @@ def test_queries_replies_and_holds_are_counted(read_one) -> None:
     text = "0.1 b > #5QD\\r\n0.2 b < *5QD12\\r\n0.3 b > #5D10T100\\r#254H\\r\n0.4 b > #5QD\\r\n"
     comments = read_one(CommandReader(), text).comments
     assert "Not carried over: 2 commands #QD" in comments
-    assert "Not carried over: 1 commands *QD" in comments
-    assert "Not carried over: 1 commands #H" in comments
+    assert "Not carried over: 1 command *QD" in comments
+    assert "Not carried over: 1 command #H" in comments
 
 
 @pytest.mark.parametrize(
@@ -131,12 +131,12 @@ def test_lines_without_a_meaning_are_listed_and_comments_are_not(read_one) -> No
     listed = [comment for comment in comments if "means nothing here" in comment]
     assert len(listed) == 10
     assert "line 5, which means nothing here: 'go 0'" in listed[0]
-    assert "Not carried over: 2 more lines that mean nothing here" in comments
+    assert "Not carried over: 2 more lines without a meaning here" in comments
 
 
 def test_waits_beside_instants_are_listed(read_one) -> None:
     comments = read_one(CommandReader(), "0.5 #1D100T500\nwait 300\n1.5 #1D0T500\n").comments
-    assert "Not carried over: 1 waits, because the commands have instants" in comments
+    assert "Not carried over: 1 wait, because the commands have instants" in comments
 
 
 def test_a_log_has_no_lines_without_a_meaning(read_one) -> None:

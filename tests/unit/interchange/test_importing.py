@@ -218,7 +218,7 @@ def test_an_angle_out_of_range_names_the_line_of_the_file(tmp_path: Path, figure
         import_motion(path, figure)
     assert (caught.value.line, caught.value.path) == (5, path)
     assert "joint 'HeadTilt' at 90 deg is outside its range" in caught.value.reason
-    assert "1 more keyframes" in caught.value.reason
+    assert "1 more keyframe of it" in caught.value.reason
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_poses_without_times_are_named_as_such(read_one) -> None:
         ([{"a": 1, "time": 1}, {"a": 1, "time": 1}], "poses[1]: times must increase"),
         ([{"a": 1, "duration": -1}], "poses[0]: durations and pauses must be 0 s or more"),
         ([{"name": "x"}], "poses[0] has no angle"),
-        ({"joints": ["a"], "poses": [[1, 2]]}, "poses[0] has 2 values for 1 joints"),
+        ({"joints": ["a"], "poses": [[1, 2]]}, "poses[0] has 2 values for 1 joint"),
         ({"joints": "a", "poses": [[1, 2]]}, "joints must be a list of names"),
         ({"fps": 0, "poses": [[1, 2]]}, "fps 0 must be more than 0"),
         ([[1, "x"]], "poses[0][1] is 'x', but must be a number"),

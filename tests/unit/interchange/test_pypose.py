@@ -37,7 +37,7 @@ def test_pypose_resolutions_may_differ_from_servo_to_servo(read_one) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "reason"),
     [
-        ("512, 612", "512", 2, "1 positions for 2 servos"),
+        ("512, 612", "512", 2, "1 position for 2 servos"),
         ("droid:2", "droid:2:77", 1, "resolution 77 is not 1024 or 4096"),
         ("Pose=down: ", "Pose=down ", 3, "is neither"),
         ("512, 612", "512, -3", 2, "'-3' is not a whole number"),

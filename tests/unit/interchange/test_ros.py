@@ -76,7 +76,7 @@ def test_a_collection_gives_its_motions_and_the_errors_of_wrong_ones(tmp_path) -
 @pytest.mark.parametrize(
     ("old", "new", "line", "reason"),
     [
-        ("[0.5, -1.0]", "[0.5]", 6, "point 2 has 1 positions for 2 joints"),
+        ("[0.5, -1.0]", "[0.5]", 6, "point 2 has 1 position for 2 joints"),
         ("[0.5, -1.0]", "[0.5, .nan]", 6, "'.nan' is not a number, or out of range"),
         ("[0.5, -1.0]", "[0.5, nan]", 6, "'nan' is not a number, or out of range"),
         ("[0.5, -1.0]", "[0.5, 1e99]", 6, "'1e99' is not a number, or out of range"),
@@ -143,7 +143,7 @@ def test_the_goals_of_a_publisher_are_poses_at_the_times_at_which_it_sends_them(
     [
         ("between_publish: 6", "between_publish: 0", 10, "above 0 s"),
         ('"pos2"', '"pos3"', 6, "pos3.* does not exist"),
-        ("[0.0, 1.0]", "[0.0]", 9, "1 positions for 2 joints"),
+        ("[0.0, 1.0]", "[0.0]", 9, "1 position for 2 joints"),
         ("    joints:\n      - joint1\n      - joint2\n", "", 6, "'joints'"),
     ],
 )

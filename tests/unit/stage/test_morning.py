@@ -68,7 +68,7 @@ def test_a_night_is_summed_up(folder):
 
 def test_the_text_names_what_to_look_at(folder):
     text = "\n".join(text_of(read_night(folder, datetime.fromisoformat("2026-10-30T18:00:00"))))
-    assert "6.5 h): 1 plays, 2 faults, GAVE UP" in text
+    assert "6.5 h): 1 play, 2 faults, GAVE UP" in text
     assert "42 x cooldown" in text
     look = text.partition("look at\n")[2]
     for words in (
@@ -85,6 +85,10 @@ def test_the_command_prints_json_and_writes_a_page_with_plots(folder, tmp_path, 
     text = page.read_text("utf-8")
     assert "gave up after faults" in text
     assert "<script" not in text
+    assert "<pre" not in text
+    for cells in (["scare", "1", "1", "0", "0.1", "6.5 deg jaw"], ["door", "1", "42 x cooldown"]):
+        assert re.search("".join(rf"<td[^>]*>{re.escape(cell)}</td>" for cell in cells), text)
+    assert text.index("<h2>look at</h2>") < text.index("<h2>shows</h2>") < text.index("<svg")
     assert not re.findall(r'(?:src|href)="http', text.partition("<svg")[0])
     ET.fromstring(text[text.index("<svg") : text.index("</svg>") + 6])
     assert main(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 import lss_motion as lss
 from lss_motion.planning.trajectory.plot import all_beats, plot
+from lss_motion.sound.envelope import draw_beats
 from tests.speech import spoken
 
 soundfile = pytest.importorskip(
@@ -68,3 +72,18 @@ def test_without_the_extra_the_picture_says_what_is_missing(show, tmp_path, monk
     monkeypatch.setitem(sys.modules, "soundfile", None)
     plot(trajectory, robot, tmp_path / "s.png")
     assert any("voice.wav is not drawn: sound files need a library: " in text for text in said)
+
+
+@pytest.mark.parametrize("apart_s", [0.05, 0.3, 0.4, 2.0])
+@pytest.mark.parametrize("width_in", [3.0, 8.0, 16.0])
+def test_the_numbers_of_beats_do_not_touch(apart_s, width_in):
+    figure = Figure(figsize=(width_in, 2.0))
+    axis = figure.add_axes((0.0, 0.0, 1.0, 0.8))
+    axis.set_xlim(0.0, 60.0)
+    draw_beats(axis, np.arange(1.0, 60.0, apart_s), (0.0, 60.0), width_in)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    boxes = [text.get_window_extent(renderer) for text in axis.texts]
+    assert len(boxes) >= 3
+    assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+    lines_top = axis.transAxes.transform((0.0, 1.0))[1]
+    assert all(box.y0 >= lines_top for box in boxes)
