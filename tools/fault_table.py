@@ -33,8 +33,7 @@ from campaign.judge import MOVE
 from campaign.three_shows import Show
 from campaign.witness import HangError, Witness
 
-from lss_motion.maintenance.careful import CarefulRun
-from lss_motion.maintenance.careful_legs import way_of
+from lss_motion.maintenance.careful import CarefulRun, way_of
 from lss_motion.playing import api
 from lss_motion.playing.connection import connect
 from lss_motion.playing.player import handshake

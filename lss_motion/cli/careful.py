@@ -190,7 +190,7 @@ def _announce(
 
     With each where it stands and by how much it will turn, in servo degrees.
     """
-    from lss_motion.maintenance.careful_legs import top_deg_s, way_of
+    from lss_motion.maintenance.careful import top_deg_s, way_of
 
     if not joints:
         return []

@@ -12,7 +12,6 @@ opens the ports, and `cli` interacts with the person.
 | `monitor.py`        | polls every servo, raises alarms                    | `cli.monitor`       |
 | `take.py`           | recorded motion and poses as a sequence             | `cli.record`        |
 | `single_command.py` | what one typed command does, and its limits         | `cli.send`          |
-| `careful_legs.py`   | small moves that test the units of a servo          | `careful`           |
 | `careful.py`        | the first, careful run of one joint                 | `cli.careful`       |
 | `guided.py`         | calibration and identification, led step by step    | `studio`            |
 | `identify/`         | measures how a servo responds                       | `cli.identify`      |

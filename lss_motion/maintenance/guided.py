@@ -236,7 +236,13 @@ class ServoTasks(Struct, frozen=True):
     """Calibration and identification for a live robot (`remote.live_end.GuidedTasks`)."""
 
     def joint(self, robot: Robot, name: str) -> Joint:
-        return guided_joint(robot, name)
+        """Return the joint; raises `InputError` for one that is unknown or that cannot be read."""
+        if name not in robot.joints:
+            raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
+        joint = robot.joints[name]
+        if joint.model.family is Family.IO2:
+            raise InputError(f"joint {name!r} is an RC servo of an LSS-2IO: it reports no position")
+        return joint
 
     def calibration(self, robot: Robot, joint: Joint) -> Calibration:
         return Calibration(robot, joint)
@@ -244,17 +250,31 @@ class ServoTasks(Struct, frozen=True):
     def measured(
         self, connection: Connection, robot: Robot, name: str, operator: Operator
     ) -> tuple[Identification | None, bool]:
-        return measured(connection, robot, name, operator)
+        """Measure a joint that is free to move; return what follows, and whether it was stopped.
 
+        None: the joint cannot be measured, and the client was told why. The joint holds afterwards.
+        """
+        from lss_motion.maintenance.identify.joint_run import Experiment
+        from lss_motion.maintenance.identify.trials import SPAN_DEG, make_window
+        from lss_motion.playing.player import handshake
+        from lss_motion.playing.runner import run
 
-def guided_joint(robot: Robot, name: str) -> Joint:
-    """Return the joint; raises `InputError` for one that is unknown or that cannot be read."""
-    if name not in robot.joints:
-        raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
-    joint = robot.joints[name]
-    if joint.model.family is Family.IO2:
-        raise InputError(f"joint {name!r} is an RC servo of an LSS-2IO: it reports no position")
-    return joint
+        # The response is that of EM1.
+        joint = replace(self.joint(robot, name), drive="timed")
+        try:
+            answers, _ = connection.examined([joint], robot)
+            standing_deg = handshake.reported(joint, answers, "QD")
+            assert standing_deg is not None, "`examined` raises without it"
+            window = make_window(joint, standing_deg, SPAN_DEG)
+        except LssMotionError as error:
+            operator.send(
+                m.MaintenanceChanged(what="identify", joint=name, state="failed", step=str(error))
+            )
+            return None, False
+        experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)
+        controls = Measuring(operator, joint)
+        run(experiment, connection.ports, connection.clock, controls=controls)
+        return Identification(robot, joint, experiment), controls.has_stopped
 
 
 class Measuring:
@@ -305,33 +325,3 @@ class Measuring:
         if not self.has_stopped:
             self.has_stopped = True
             experiment.stop(now_ns)
-
-
-def measured(
-    connection: Connection, robot: Robot, name: str, operator: Operator
-) -> tuple[Identification | None, bool]:
-    """Measure a joint that is free to move; return what follows, and whether it was stopped.
-
-    None: the joint cannot be measured, and the client was told why. The joint holds afterwards.
-    """
-    from lss_motion.maintenance.identify.joint_run import Experiment
-    from lss_motion.maintenance.identify.trials import SPAN_DEG, make_window
-    from lss_motion.playing.player import handshake
-    from lss_motion.playing.runner import run
-
-    # The response is that of EM1.
-    joint = replace(guided_joint(robot, name), drive="timed")
-    try:
-        answers, _ = connection.examined([joint], robot)
-        standing_deg = handshake.reported(joint, answers, "QD")
-        assert standing_deg is not None, "`examined` raises without it"
-        window = make_window(joint, standing_deg, SPAN_DEG)
-    except LssMotionError as error:
-        operator.send(
-            m.MaintenanceChanged(what="identify", joint=name, state="failed", step=str(error))
-        )
-        return None, False
-    experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)
-    controls = Measuring(operator, joint)
-    run(experiment, connection.ports, connection.clock, controls=controls)
-    return Identification(robot, joint, experiment), controls.has_stopped

@@ -17,18 +17,27 @@ from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError
 from lss_motion.files.texts import aligned
-from lss_motion.playing.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
+from lss_motion.playing import discovery
+from lss_motion.playing.discovery import (
+    HOT_C,
+    RATES_BPS,
+    SUPPLY_MAX_V,
+    SUPPLY_MIN_V,
+    Listening,
+    ServoIdentity,
+    presence_steps,
+)
 from lss_motion.playing.player.unasked import unasked_text, unreadable_text
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.live_end import live_state
-from lss_motion.protocol.constants import Family, SafeModeCause, Status
+from lss_motion.protocol.constants import ID_MAX, Family, SafeModeCause, Status
 from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from lss_motion.playing.connection import Connection
-    from lss_motion.playing.discovery import ServoCondition, ServoIdentity, Unasked
+    from lss_motion.playing.discovery import ServoCondition, Unasked
     from lss_motion.playing.remote.operator_end import Operator
     from lss_motion.robot.model import Bus, Robot
 
@@ -44,8 +53,6 @@ def survey(
     `progress` is called with the text of each step. Leaves the port at the rate with the most
     replies.
     """
-    from lss_motion.playing.discovery import RATES_BPS, Listening, presence_steps
-
     rates_bps = list(dict.fromkeys((bus.baud_bps, *RATES_BPS))) if baud_bps is None else [baud_bps]
     used_bps = []
     for rate_bps in rates_bps:
@@ -72,8 +79,6 @@ def observed(connection: Connection, bus_name: str) -> Unasked:
 
     The bus is observed in silence once for each rate.
     """
-    from lss_motion.playing import discovery
-
     baud_bps = connection.buses[bus_name].baud_bps
     unasked = connection.unasked.get((bus_name, baud_bps))
     if unasked is None:
@@ -85,18 +90,12 @@ def observed(connection: Connection, bus_name: str) -> Unasked:
 
 def unreadable(connection: Connection, bus: Bus) -> list[str]:
     """Return the note about a bus on which a survey found unreadable bytes; none without them."""
-    from lss_motion.playing.player.unasked import unreadable_text
-
     seen = [one for (name, _), one in connection.unasked.items() if name == bus.name]
     return [unreadable_text(bus.port)] if any(one.unreadable_bytes for one in seen) else []
 
 
 def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
     """Return the servos that reply on a bus at its present rate."""
-    from lss_motion.playing import discovery
-    from lss_motion.playing.discovery import Listening
-    from lss_motion.protocol.constants import ID_MAX
-
     baud_bps = connection.buses[bus_name].baud_bps
     unasked = observed(connection, bus_name)
     models: dict[int, str] = {}
@@ -122,10 +121,6 @@ def query_each(
     While another host disturbs the bus, an id whose queries are regularly answered by unreadable
     bytes is returned as doubtful.
     """
-    from lss_motion.playing import discovery
-    from lss_motion.playing.discovery import Listening, ServoIdentity
-    from lss_motion.protocol.constants import Family
-
     baud_bps = connection.buses[bus_name].baud_bps
     unasked = observed(connection, bus_name)
     replies: dict[int, list[bytes]] = {servo_id: [] for servo_id in models}
@@ -164,8 +159,6 @@ def query_each(
 
 
 def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCondition]:
-    from lss_motion.playing import discovery
-
     found = roll_call(connection, bus_name)
     unasked = observed(connection, bus_name)
     items = [item for p in found if p.is_single for item in discovery.questions(bus_name, p)]

@@ -1,6 +1,6 @@
 """The sounds of a show on one open stream: the player's end of the pipes.
 
-The process `lss_motion.sound.process` plays. It is told the show clock and each sound some seconds
+The process `lss_motion.sound.device` plays. It is told the show clock and each sound some seconds
 ahead, so that it never waits for the player, and it reports what is heard of the bed; the show
 clock follows that. Nothing here waits but the opening of the device, before the show.
 
@@ -60,7 +60,7 @@ AHEAD_S: Final = 3.0
 BACK_S: Final = 0.02
 """A stall or a wait takes the show clock back by a little."""
 ALIVE_NS: Final = NS_PER_S // 5
-PROCESS: Final = "lss_motion.sound.process"
+PROCESS: Final = "lss_motion.sound.device"
 NAMES_MAX: Final = 200
 """The files of so many last sounds are known by name if they fail."""
 END_S: Final = 1.5

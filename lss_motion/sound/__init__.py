@@ -7,9 +7,8 @@ installs it.
 | file              | what it does                                         | used by              |
 |-------------------|------------------------------------------------------|----------------------|
 | `files.py`        | WAV, FLAC, OGG, MP3 as samples and spectra           | all                  |
-| `mixer.py`        | what a device plays, block by block, with the show   | `device`, `process`  |
+| `mixer.py`        | what a device plays, block by block, with the show   | `device`             |
 | `envelope.py`     | loudness over time; syllables, swells, sides; drawn  | `interchange`, `cli` |
 | `beats.py`        | tempo and beats, as a proposal                       | `cli`                |
-| `device.py`       | the devices of this computer, one open stream        | `process`, `cli`     |
-| `process.py`      | the process that plays the sounds of a show          | started by `runtime` |
+| `device.py`       | the devices; the process that plays the sounds of a show | `playing`, `cli` |
 """

@@ -28,7 +28,7 @@ from lss_motion.playing.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog, must_restart
 from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.stage.stage_timecode import OwnSource, opened, spec_of
+from lss_motion.stage.stage_timecode import opened, spec_of
 from lss_motion.system.messages import plain
 from lss_motion.units import NS_PER_S
 
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from lss_motion.stage.log import Record
     from lss_motion.stage.model import Stage
     from lss_motion.stage.stage_timecode import StageTimecode
+    from lss_motion.stage.timecode.source import TimecodeSource
 
 RENEW_MAX_BYTES: Final = 1_000_000
 """Chosen: read in some 20 ms, by which no move is late that matters; an hour of six joints."""
@@ -88,7 +89,7 @@ class DirectedJob(Struct, frozen=True, kw_only=True):
 
     def _open(
         self, stage: Stage, steering: StageSteering, stack: contextlib.ExitStack, **options: bool
-    ) -> tuple[StageLog, OwnSource | None]:
+    ) -> tuple[StageLog, TimecodeSource | None]:
         """Open the log, and the timecode, which virtual time (`is_virtual`) does not have."""
         rule, given, folder = stage.log, stage.sync.timecode, self.options.get("log_folder")
         if folder is not None:
@@ -96,7 +97,9 @@ class DirectedJob(Struct, frozen=True, kw_only=True):
         log = steering.kept = stack.enter_context(StageLog(rule, **options))
         if given is None or options.get("is_virtual"):
             return log, None
-        return log, stack.enter_context(OwnSource(spec_of(given)))
+        from lss_motion.stage.timecode.source import TimecodeSource
+
+        return log, stack.enter_context(TimecodeSource(spec_of(given), is_lasting=True))
 
 
 class StageJob(DirectedJob, frozen=True, kw_only=True):

@@ -6,8 +6,7 @@
     begin(order, player, ...)    lets a show follow, if there is time to get into it
     steer(player, ...)           keeps that show in step (`playing.player.following`)
 
-`OwnSource` reads in a process of its own, and opens the source again when it has gone. Positions
-are the timecode minus `offset_s`, in seconds.
+Positions are the timecode minus `offset_s`, in seconds.
 
 `Sending` is the way out: the show clock of the shows that play for cues. The idle show and the way
 to the rest send nothing: between shows the timecode stands where the last show was left.
@@ -23,9 +22,7 @@ from lss_motion.playing.player.show_clock import Leg
 from lss_motion.stage.timecode.chase import ChaseState
 from lss_motion.stage.timecode.timecode import read_follow, read_send
 from lss_motion.stage.triggering import JUMP_S
-from lss_motion.system.clock import MonotonicClock
 from lss_motion.system.clock_leg import ClockLeg
-from lss_motion.system.closing import Closing
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
@@ -38,12 +35,9 @@ if TYPE_CHECKING:
     from lss_motion.stage.director import Director
     from lss_motion.stage.file import SendOutput, TimecodeInput
     from lss_motion.stage.orders import OrderedShow, PlayOrder
-    from lss_motion.stage.timecode.source import LegSource, TimecodeSource
+    from lss_motion.stage.timecode.source import LegSource
     from lss_motion.stage.timecode.timecode import FollowSpec, SendSpec
 
-AGAIN_NS: Final = 10 * NS_PER_S
-"""A source that has gone is opened again this much later. Chosen: a sound card that was unplugged
-is back at once, and a start of a process takes a millisecond of the player's."""
 LEAVE_S: Final = 1.8
 """Added to the way to a show, for braking the one before and asking the servos where they are. A
 simulated robot of seven joints took 1.0 s in a process of its own, 0.4 s in virtual time; a robot
@@ -67,49 +61,6 @@ def spec_of(given: TimecodeInput) -> FollowSpec:
     return read_follow(
         f"{given.source}{rest}", rate=rate, offset=given.offset_s, freewheel_s=given.freewheel_s
     )
-
-
-class OwnSource(Closing):
-    """The source of a stage, for a whole evening. A context manager; nothing waits."""
-
-    def __init__(self, spec: FollowSpec) -> None:
-        self._spec = spec
-        self._clock = MonotonicClock()
-        self._source: TimecodeSource | None = None
-        self._reported: set[str] = set()
-        """Since it was open last."""
-        self._open()
-
-    def filenos(self) -> Sequence[int]:
-        return () if self._source is None else self._source.filenos()
-
-    def take(self) -> Sequence[Follow]:
-        """Return the legs since the last call; open the source again if it has gone."""
-        if self._source is None or (
-            not self._source.is_open and self._clock.now_ns() >= self._opened_ns + AGAIN_NS
-        ):
-            self._open()
-        return () if self._source is None else self._source.take()
-
-    def take_texts(self) -> Sequence[str]:
-        """Return what a person should know; the same trouble only once."""
-        found = [] if self._source is None else self._source.take_texts()
-        texts = [text for text in found if text not in self._reported]
-        if self._source is not None and self._source.has_opened:
-            self._reported.clear()
-        self._reported.update(texts)
-        return texts
-
-    def close(self) -> None:
-        if self._source is not None:
-            self._source.close()
-
-    def _open(self) -> None:
-        from lss_motion.stage.timecode.source import TimecodeSource
-
-        self.close()
-        self._opened_ns = self._clock.now_ns()
-        self._source = TimecodeSource(self._spec, waits=False)
 
 
 class StageTimecode:

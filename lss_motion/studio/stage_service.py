@@ -18,8 +18,7 @@ from lss_motion.errors import LssMotionError
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.stage.model import TriggerKind
-from lss_motion.stage.triggers.alerts import WebHook
-from lss_motion.stage.triggers.mqtt import discovery
+from lss_motion.stage.triggers.mqtt import WebHook, discovery
 from lss_motion.stage.triggers.sources import AllowList, Complaints, Gate
 from lss_motion.studio.api import Api, marked
 from lss_motion.studio.inlets import ALWAYS, Inlets, addresses

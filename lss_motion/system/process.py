@@ -1,6 +1,6 @@
 """A helper process: a module of this package in a process of its own, with a pipe of messages.
 
-    child = ChildProcess("lss_motion.sound.process", receives=Report)
+    child = ChildProcess("lss_motion.sound.device", receives=Report)
     child.send(Begin())              # never waits
     for report in child.receive():   # never waits
     child.receive_within(2.0)        # waits for so long at most

@@ -1,6 +1,6 @@
 """What the process that plays the sounds of a show is told, and what it reports.
 
-The player (`playing.sounds`) sends a `SoundOrder`, the process (`sound.process`) a `SoundNews`.
+The player (`playing.sounds`) sends a `SoundOrder`, the process (`sound.device`) a `SoundNews`.
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.maintenance.careful import CarefulRun
-from lss_motion.maintenance.careful_legs import way_of
+from lss_motion.maintenance.careful import CarefulRun, way_of
 from lss_motion.maintenance.identify.joint_run import ExperimentState
 from lss_motion.playing.connection import connect
 from lss_motion.playing.player import handshake

@@ -15,8 +15,7 @@ from lss_motion.maintenance.guided import (
     RELEASE,
     WRITE,
     Calibration,
-    guided_joint,
-    measured,
+    ServoTasks,
 )
 from lss_motion.playing.connection import connect
 from lss_motion.playing.hands_on import HandsOn
@@ -110,7 +109,7 @@ def test_only_answers_that_are_offered_are_taken(robot):
     with pytest.raises(InputError, match="make it limp"):
         guide.answer(WRITE, HandsOn(robot, ["a"]))
     with pytest.raises(InputError, match="unknown joint 'c'"):
-        guided_joint(robot, "c")
+        ServoTasks().joint(robot, "c")
 
 
 class Client:
@@ -150,7 +149,7 @@ class Client:
 
 def identified(robot, client):
     with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
-        guide, has_stopped = measured(connection, robot, "a", client)
+        guide, has_stopped = ServoTasks().measured(connection, robot, "a", client)
     lines = [line.rstrip(b"\r") for _, line in connection.simulated["main"].lines]
     return guide, has_stopped, lines
 

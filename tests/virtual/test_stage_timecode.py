@@ -17,7 +17,8 @@ from lss_motion.stage.file import TimecodeInput
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.stage.stage_timecode import OwnSource, spec_of
+from lss_motion.stage.stage_timecode import spec_of
+from lss_motion.stage.timecode.source import TimecodeSource
 
 S = 1_000_000_000
 FILES = {
@@ -303,7 +304,8 @@ def test_the_clock_of_shows_that_cues_play_is_sent_and_stands_between_them(tmp_p
 
 
 def test_a_source_that_cannot_be_opened_is_named_once_and_stops_nothing():
-    with OwnSource(spec_of(TimecodeInput(source="mtc", input="no such port"))) as source:
+    spec = spec_of(TimecodeInput(source="mtc", input="no such port"))
+    with TimecodeSource(spec, is_lasting=True) as source:
         texts, end_s = [], time.monotonic() + 20.0
         while not texts and time.monotonic() < end_s:
             assert source.take() == []

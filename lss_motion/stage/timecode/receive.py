@@ -16,7 +16,7 @@ import queue
 import socket
 import struct
 import time
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -52,6 +52,8 @@ if TYPE_CHECKING:
 
     Say = Callable[[str], None]
 
+T = TypeVar("T")
+
 TURN_S: Final = 0.02
 STYLES: Final[dict[str, Style]] = {
     "ltc": chase.LTC,
@@ -65,7 +67,6 @@ PACKETS_A_TURN: Final = 500
 LOOK_S: Final = 1.0
 """A device that has vanished is looked for this often."""
 QUEUE_MAX: Final = 2000
-BLOCK_S: Final = 0.01
 
 
 class TimecodeOpened(Struct, frozen=True, tag=True):
@@ -115,6 +116,16 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
+def _arrived(items: queue.Queue[T]) -> list[T]:
+    """Return what has come, after waiting for `TURN_S` at most."""
+    found: list[T] = []
+    with contextlib.suppress(queue.Empty):
+        found.append(items.get(timeout=TURN_S))
+        while True:
+            found.append(items.get_nowait())
+    return found
+
+
 class SoundSource:
     """LTC from a sound input."""
 
@@ -161,16 +172,11 @@ class SoundSource:
         self._frame += count
 
     def wait(self, chased: Chase) -> Iterator[tuple[TimecodeObservation, str]]:  # noqa: ARG002
-        try:
-            blocks = [self._blocks.get(timeout=TURN_S)]
-        except queue.Empty:
-            if time.monotonic() - self._received_s > LOOK_S and not self._stream.active:
-                raise SourceError("the sound input is gone") from None
-            return
-        with contextlib.suppress(queue.Empty):
-            while True:
-                blocks.append(self._blocks.get_nowait())
-        self._received_s = time.monotonic()
+        blocks = _arrived(self._blocks)
+        if blocks:
+            self._received_s = time.monotonic()
+        elif time.monotonic() - self._received_s > LOOK_S and not self._stream.active:
+            raise SourceError("the sound input is gone")
         for frame, at_ns, block in blocks:
             self._clock.take(frame, at_ns)
             for observation in self._reader.take(block, self._clock.heard_ns):
@@ -208,14 +214,7 @@ class MidiSource:
 
     def wait(self, chased: Chase) -> Iterator[tuple[TimecodeObservation, str]]:
         self._watch(chased)
-        try:
-            messages = [self._messages.get(timeout=TURN_S)]
-        except queue.Empty:
-            return
-        with contextlib.suppress(queue.Empty):
-            while True:
-                messages.append(self._messages.get_nowait())
-        for message, instant_ns in messages:
+        for message, instant_ns in _arrived(self._messages):
             for observation in self._reader.take(message, instant_ns):
                 yield observation, self._port
 

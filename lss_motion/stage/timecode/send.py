@@ -177,12 +177,13 @@ class MtcSender(Pulses):
 
 
 class PacketSender(Pulses):
-    """Packets over UDP."""
+    """Packets over UDP, one a frame, also of a show that stands."""
 
     what = ""
 
     def __init__(self, spec: SendSpec, show: ShowNow) -> None:
         super().__init__(spec, show)
+        self.pulses_hz = spec.rate.frames_per_s
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         try:
@@ -190,6 +191,9 @@ class PacketSender(Pulses):
         except OSError as error:
             raise SourceError(f"{spec.name!r} is no address: {error.strerror}") from error
         self.text = f"{self.what} to {spec.name}, port {spec.port}"
+
+    def stand(self, number: int) -> None:
+        self.emit(number)
 
     def send(self, packet: bytes) -> None:
         with contextlib.suppress(OSError):  # A network that is down is up again some time.
@@ -200,29 +204,18 @@ class PacketSender(Pulses):
 
 
 class ArtNetSender(PacketSender):
-    """Art-Net timecode: a packet a frame."""
+    """Art-Net timecode."""
 
     what = "Art-Net timecode"
-
-    def __init__(self, spec: SendSpec, show: ShowNow) -> None:
-        super().__init__(spec, show)
-        self.pulses_hz = spec.rate.frames_per_s
 
     def emit(self, number: int) -> None:
         self.send(artnet_packet(timecode_of(number, self.spec.rate), self.spec.rate))
 
-    def stand(self, number: int) -> None:
-        self.emit(number)
-
 
 class OscSender(PacketSender):
-    """OSC: `/lss/timecode` with a text and seconds, once a frame."""
+    """OSC: `/lss/timecode` with a text and seconds."""
 
     what = "OSC"
-
-    def __init__(self, spec: SendSpec, show: ShowNow) -> None:
-        super().__init__(spec, show)
-        self.pulses_hz = spec.rate.frames_per_s
 
     def emit(self, number: int) -> None:
         rate = self.spec.rate
@@ -230,19 +223,15 @@ class OscSender(PacketSender):
         seconds = number / rate.frames_per_s - self.spec.offset_s
         self.send(_padded(b"/lss/timecode") + _padded(b",sf") + text + struct.pack(">f", seconds))
 
-    def stand(self, number: int) -> None:
-        self.emit(number)
-
 
 class FppSender(PacketSender):
     """FPP MultiSync: start, sync twice a second, stop. Its file has the name of the show."""
 
     what = "FPP MultiSync"
-    pulses_hz = FPP_HZ
 
     def __init__(self, spec: SendSpec, show: ShowNow) -> None:
         super().__init__(spec, show)
-        self._is_started = False
+        self.pulses_hz, self._is_started = FPP_HZ, False
 
     def emit(self, number: int) -> None:
         if number < 0:

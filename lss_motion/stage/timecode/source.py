@@ -26,6 +26,7 @@ from lss_motion.stage.timecode.receive import (
 from lss_motion.stage.timecode.send import EndSending, SendLeg
 from lss_motion.system.closing import Closing
 from lss_motion.system.process import ChildProcess
+from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
 OPEN_S: Final = 10.0
 """The longest time that a device may take to open."""
 END_S: Final = 1.0
+AGAIN_NS: Final = 10 * NS_PER_S
+"""A source that has gone is opened again this much later. Chosen: a sound card that was unplugged
+is back at once, and a start of a process takes a millisecond of the player's."""
 
 
 class _TimecodeProcess(Closing):
@@ -104,24 +108,25 @@ class _TimecodeProcess(Closing):
 class TimecodeSource(Closing):
     """One source of timecode, read by a process of its own. A context manager."""
 
-    def __init__(self, spec: FollowSpec, *, waits: bool = True) -> None:
-        """Open it; raises `InputError` if that fails. Without `waits` it opens later."""
-        self._process = _TimecodeProcess(receive.__name__, spec, waits=waits)
-        if waits and not self._process.text:
+    def __init__(self, spec: FollowSpec, *, is_lasting: bool = False) -> None:
+        """Open it; raises `InputError` if that fails.
+
+        A lasting one opens later, and again when it has gone; it tells the same trouble only once.
+        """
+        self._spec, self._is_lasting = spec, is_lasting
+        self._texts: list[str] = []
+        self._reported: set[str] = set()
+        """Since it was open last."""
+        self._open()
+        if not is_lasting and not self._process.text:
             reason = "; ".join(self._process.problems)
             raise InputError(f"timecode of {spec.kind} cannot be followed: {reason}")
-        self._texts: list[str] = []
+
+    def _open(self) -> None:
+        self._opened_ns = time.monotonic_ns()
         self._is_named = False
-
-    @property
-    def is_open(self) -> bool:
-        """Whether timecode is read, or will be."""
-        return bool(self._process.filenos())
-
-    @property
-    def has_opened(self) -> bool:
-        """Whether it has been opened."""
-        return bool(self._process.text)
+        waits = not self._is_lasting
+        self._process = _TimecodeProcess(receive.__name__, self._spec, waits=waits)
 
     def filenos(self) -> list[int]:
         """Return what ends a wait."""
@@ -129,6 +134,9 @@ class TimecodeSource(Closing):
 
     def take(self) -> list[Follow]:
         """Return what came since the last call, oldest first. Never waits."""
+        is_gone = self._is_lasting and not self.filenos()
+        if is_gone and time.monotonic_ns() >= self._opened_ns + AGAIN_NS:
+            self._open()
         found = []
         for news in self._process.take():
             if isinstance(news, TimecodeLeg):
@@ -143,7 +151,12 @@ class TimecodeSource(Closing):
         texts, self._texts = [*self._texts, *problems], []
         if self._process.text and not self._is_named:
             self._is_named = True
-            return [f"follows {self._process.text}", *texts]
+            texts.insert(0, f"follows {self._process.text}")
+        if self._is_lasting:
+            texts = [text for text in texts if text not in self._reported]
+            if self._process.text:
+                self._reported.clear()
+            self._reported.update(texts)
         return texts
 
     def close(self) -> None:

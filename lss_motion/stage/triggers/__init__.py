@@ -9,6 +9,5 @@ the one thread of the server. No source reaches the player: the server sends it 
 | `osc`       | Open Sound Control, with feedback to those who subscribe          |
 | `sacn`      | sACN as levels, and the thresholds that they cross                |
 | `devices`   | MIDI inputs, and buttons at the pins of a Raspberry Pi            |
-| `mqtt`      | a broker of messages, and what Home Assistant is told             |
-| `alerts`    | faults as a POST to a web hook                                    |
+| `mqtt`      | a broker of messages, Home Assistant, faults to a web hook        |
 """

@@ -1,4 +1,4 @@
-"""A broker of MQTT messages: triggers and operations in, state and alerts out, Home Assistant.
+"""A broker of MQTT messages (triggers in, state and alerts out, Home Assistant), and a web hook.
 
 All topics of a stage begin with `lss/STAGE`:
 
@@ -12,6 +12,9 @@ All topics of a stage begin with `lss/STAGE`:
 
 Besides these, the topics of cues with `mqtt` are triggers. A description of all this for Home
 Assistant is kept at the broker. The library has a thread of its own, and connects again by itself.
+
+`WebHook` sends faults as JSON by POST, with a few attempts. A hook that does not answer delays
+nothing: at most `WAITING_MAX` alerts wait, the oldest is dropped.
 """
 
 from __future__ import annotations
@@ -24,6 +27,9 @@ import math
 import os
 import re
 import socket
+import urllib.error
+import urllib.request
+from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import unquote, urlsplit
 
@@ -32,6 +38,7 @@ from msgspec import Struct
 from lss_motion.errors import InputError, install_command
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as stage
+from lss_motion.stage.triggers.sources import DEEDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -45,16 +52,6 @@ PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 KEEP_ALIVE_S: Final = 20
 DISCOVERY: Final = "homeassistant/device/{}/config"
 """The topic that Home Assistant reads from 2024.12 on: all of a device in one message."""
-DEEDS: Final = {
-    "go": "go",
-    "stop": "stop",
-    "estop": "estop",
-    "pause": "pause",
-    "resume": "resume",
-    "idle": "stage.stop",
-    "rest": "stage.rest",
-    "wake": "stage.wake",
-}
 
 
 class Broker(Struct, frozen=True, kw_only=True):
@@ -324,3 +321,55 @@ class MqttLink:
             return
         if operation is not None:
             self._sink(operation, f"MQTT {topic}")
+
+
+WAITING_MAX: Final = 32
+TIMEOUT_S: Final = 10.0
+ATTEMPTS: Final = 4
+PAUSE_S: Final = 2.0
+"""Before the second attempt; twice as long before each further one."""
+
+
+class WebHook:
+    """One address that gets alerts."""
+
+    def __init__(self, url: str, note: Callable[[str], None], *, pause_s: float = PAUSE_S) -> None:
+        self._url, self._note, self._pause_s = url, note, pause_s
+        self._waiting: deque[bytes] = deque(maxlen=WAITING_MAX)
+        self._task: asyncio.Task[None] | None = None
+
+    def send(self, alert: Mapping[str, object]) -> None:
+        """Send an alert soon; returns at once."""
+        self._waiting.append(json.dumps(alert, ensure_ascii=False).encode())
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._send_all())
+
+    async def close(self, wait_s: float = TIMEOUT_S) -> None:
+        """Wait a while for what is being sent."""
+        if self._task is not None:
+            await asyncio.wait({self._task}, timeout=wait_s)
+            self._task.cancel()
+
+    async def _send_all(self) -> None:
+        while self._waiting:
+            body, problem = self._waiting.popleft(), None
+            for attempt in range(ATTEMPTS):
+                problem = await asyncio.to_thread(post, self._url, body)
+                if problem is None:
+                    break
+                if attempt + 1 < ATTEMPTS:
+                    await asyncio.sleep(self._pause_s * 2**attempt)
+            else:
+                self._note(f"alert: the web hook did not take it: {problem}")
+
+
+def post(url: str, body: bytes) -> str | None:
+    """Send a body; return what went wrong."""
+    request = urllib.request.Request(  # noqa: S310  (the stage file names it)
+        url, body, {"content-type": "application/json"}, method="POST"
+    )
+    try:
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310
+            return None
+    except (OSError, ValueError) as error:  # HTTPError is an OSError, too.
+        return str(error)

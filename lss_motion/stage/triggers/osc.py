@@ -23,6 +23,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import schema as m
+from lss_motion.stage.triggers.sources import DEEDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -46,26 +47,8 @@ _HEAD: Final = b"#bundle\0"
 _TAGS: Final = frozenset(b"ifsbhdtTFNIrm[]")
 """Types of arguments that python-osc knows; of others it would write to the log of the program."""
 
-SIMPLE: Final = {
-    "/lss/go": "go",
-    "/lss/stop": "stop",
-    "/lss/estop": "estop",
-    "/lss/pause": "pause",
-    "/lss/resume": "resume",
-    "/lss/idle": "stage.stop",
-    "/lss/rest": "stage.rest",
-    "/lss/wake": "stage.wake",
-}
-"""Addresses of operations without an argument. No `rearm`: after a stop a person with a password
-allows motion again."""
-
-
 NAMED: Final = {"cue": ("cue", "label"), "arm": ("arm", "cue"), "show": ("stage.play", "show")}
 """Operations with a name: `/lss/cue/NAME`, or `/lss/cue NAME`."""
-
-
-class OscError(ValueError):
-    """A packet that is no OSC, or asks for what is not possible."""
 
 
 class OscMessage(Struct, frozen=True):
@@ -77,9 +60,9 @@ class OscMessage(Struct, frozen=True):
 
 
 def messages_of(data: bytes) -> list[OscMessage]:
-    """Return the messages of a packet, in its order; raises `OscError`."""
+    """Return the messages of a packet, in its order; raises `InputError`."""
     if len(data) > PACKET_MAX_BYTES:
-        raise OscError(f"a packet with more than {PACKET_MAX_BYTES} bytes is ignored")
+        raise InputError(f"a packet with more than {PACKET_MAX_BYTES} bytes is ignored")
     found: list[OscMessage] = []
     _read(data, None, DEPTH_MAX, found)
     return found
@@ -88,20 +71,20 @@ def messages_of(data: bytes) -> list[OscMessage]:
 def _read(data: bytes, at_s: float | None, depth: int, found: list[OscMessage]) -> None:
     if not data.startswith(_HEAD):
         if len(found) >= MESSAGES_MAX:
-            raise OscError(f"a packet with more than {MESSAGES_MAX} messages is ignored")
+            raise InputError(f"a packet with more than {MESSAGES_MAX} messages is ignored")
         found.append(_message(data, at_s))
         return
     if depth == 0 or len(data) < len(_HEAD) + 8:
-        raise OscError("a bundle that is nested deeply, or cut, is ignored")
+        raise InputError("a bundle that is nested deeply, or cut, is ignored")
     at_s = _time(struct.unpack_from(">Q", data, len(_HEAD))[0])
     place = len(_HEAD) + 8
     while place < len(data):
         if place + 4 > len(data):
-            raise OscError("a bundle that is cut is ignored")
+            raise InputError("a bundle that is cut is ignored")
         (size,) = struct.unpack_from(">i", data, place)
         place += 4
         if not 0 < size <= len(data) - place or size % 4:
-            raise OscError("a bundle with a wrong length is ignored")
+            raise InputError("a bundle with a wrong length is ignored")
         _read(data[place : place + size], at_s, depth - 1, found)
         place += size
 
@@ -115,20 +98,20 @@ def _message(data: bytes, at_s: float | None) -> OscMessage:
     from pythonosc import osc_message
 
     if not data.startswith(b"/") or b"\0" not in data:
-        raise OscError("a packet that is no OSC message is ignored")
+        raise InputError("a packet that is no OSC message is ignored")
     end = data.index(b"\0")
     tags = data[end + 4 - end % 4 :].partition(b"\0")[0]
     if tags and (tags[:1] != b"," or not _TAGS.issuperset(tags[1:])):
-        raise OscError("an OSC message with arguments of unknown types is ignored")
+        raise InputError("an OSC message with arguments of unknown types is ignored")
     try:
         read = osc_message.OscMessage(data)
         return OscMessage(read.address, tuple(read.params), at_s)
     except (osc_message.ParseError, ValueError, IndexError, OverflowError, struct.error):
-        raise OscError("an OSC message that is cut is ignored") from None
+        raise InputError("an OSC message that is cut is ignored") from None
 
 
 def delay_s(message: OscMessage, wall_s: float) -> float:
-    """Return how long from now a message is to be carried out; raises `OscError` if too long.
+    """Return how long from now a message is to be carried out; raises `InputError` if too long.
 
     `wall_s` is the Unix time now. It is used only here: a clock that is set later changes nothing.
     """
@@ -136,7 +119,7 @@ def delay_s(message: OscMessage, wall_s: float) -> float:
         return 0.0
     ahead_s = message.at_s - wall_s
     if ahead_s > AHEAD_MAX_S:
-        raise OscError(
+        raise InputError(
             f"a message for {ahead_s:.0f} s later is ignored (at most {AHEAD_MAX_S:.0f} s): set "
             "the clocks of both computers, as by NTP"
         )
@@ -155,13 +138,13 @@ def operation_of(
     """Return what a message asks for; None for a button that is released.
 
     `cues` are the addresses that trigger a cue of the stage; they come before our own. Of those in
-    `levels` only values that cross a threshold count. Raises `OscError` for what is not possible.
+    `levels` only values that cross a threshold count. Raises `InputError` for what is not possible.
     """
     if message.address in cues:
         return _trigger(message, levels)
     fields = _own(message)
     if fields is None:
-        raise OscError(f"{shown(message.address)} triggers no cue, and is none of ours")
+        raise InputError(f"{shown(message.address)} triggers no cue, and is none of ours")
     is_button = fields["op"] not in ("rate", "seek", "enable")
     return None if is_button and is_release(message) else _operation(fields)
 
@@ -182,11 +165,11 @@ def _trigger(message: OscMessage, levels: Crossings | None) -> m.AnyOperation | 
 def _own(message: OscMessage) -> dict[str, Any] | None:
     """Return the operation of one of our addresses; None: it is none of ours."""
     address, first = message.address, next(iter(message.arguments), None)
-    if address in SIMPLE:
-        return {"op": SIMPLE[address]}
     own, _, name = address.removeprefix("/lss/").partition("/")
     if not address.startswith("/lss/"):
         return None
+    if own in DEEDS and not name:
+        return {"op": DEEDS[own]}
     if own in NAMED and (name or isinstance(first, str)):
         op, key = NAMED[own]
         return {"op": op, key: name or first}
@@ -200,10 +183,7 @@ def _own(message: OscMessage) -> dict[str, Any] | None:
 
 
 def _operation(fields: dict[str, Any]) -> m.AnyOperation:
-    try:
-        return m.parse_operation(json.dumps(fields))
-    except (InputError, ValueError) as error:
-        raise OscError(str(error)) from None
+    return m.parse_operation(json.dumps(fields))
 
 
 def shown(text: str) -> str:
@@ -353,19 +333,13 @@ class OscPort(asyncio.DatagramProtocol):
         now_s, place = self._now_s(), (str(addr[0]), int(addr[1]))
         if not self.gate.admits(place[0], now_s):
             return
-        try:
-            messages = messages_of(data)
-        except OscError as error:
-            self.gate.complaints.add(f"{error} (from {place[0]})", now_s)
-            return
-        for message in messages:
+        for message in self.gate.tried(lambda: messages_of(data), place[0], now_s) or ():
             self._take(message, place, now_s)
 
     def _take(self, message: OscMessage, place: Place, now_s: float) -> None:
-        try:
-            wait_s = delay_s(message, datetime.now(UTC).timestamp())
-        except OscError as error:
-            self.gate.complaints.add(f"{error} (from {place[0]})", now_s)
+        wall_s = datetime.now(UTC).timestamp()
+        wait_s = self.gate.tried(lambda: delay_s(message, wall_s), place[0], now_s)
+        if wait_s is None:
             return
         if not wait_s:
             self._obey(message, place)
@@ -385,11 +359,9 @@ class OscPort(asyncio.DatagramProtocol):
     def _obey(self, message: OscMessage, place: Place) -> None:
         if message.address not in self.cues and self._is_query(message, place):
             return
-        try:
-            operation = operation_of(message, self.cues, self.levels)
-        except OscError as error:
-            self.gate.complaints.add(f"{error} (from {place[0]})", self._now_s())
-            return
+        operation = self.gate.tried(
+            lambda: operation_of(message, self.cues, self.levels), place[0], self._now_s()
+        )
         if operation is not None:
             self._sink(operation, f"OSC {shown(message.address)} from {place[0]}")
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from lss_motion.errors import InputError
 from lss_motion.playing.remote import stage_messages as stage
 from lss_motion.stage.triggers.sources import Crossings
 
@@ -50,10 +51,6 @@ _PREVIEW: Final = 0x80
 _TERMINATED: Final = 0x40
 
 
-class SacnError(ValueError):
-    """A packet that is no sACN data."""
-
-
 class Packet(Struct, frozen=True):
     """The levels of one universe from one source."""
 
@@ -67,21 +64,21 @@ class Packet(Struct, frozen=True):
 
 
 def packet_of(data: bytes) -> Packet | None:
-    """Return the levels of a packet; None if it carries none. Raises `SacnError` for other data."""
+    """Return the levels of a packet; None: it carries none. Raises `InputError` for other data."""
     if len(data) > PACKET_MAX_BYTES or not data.startswith(_HEAD):
-        raise SacnError("a packet that is no sACN is ignored")
+        raise InputError("a packet that is no sACN is ignored")
     if len(data) < _LAYOUT.size:
-        raise SacnError("an sACN packet that is cut is ignored")
+        raise InputError("an sACN packet that is cut is ignored")
     found = _LAYOUT.unpack_from(data)
     _, _, root, source, _, frame, _, priority, _, sequence, options, universe, *rest = found
     if root != _ROOT_DATA or frame != _FRAME_DATA or options & _PREVIEW:
         return None  # Discovery, synchronisation, or a picture of what is not on stage.
     _, *property_, count = rest
     if tuple(property_) != _SET_PROPERTY or not 1 <= count <= SLOTS + 1:
-        raise SacnError("an sACN packet of another kind is ignored")
+        raise InputError("an sACN packet of another kind is ignored")
     values = data[_LAYOUT.size : _LAYOUT.size + count]
     if len(values) < count or not 1 <= universe <= 63999 or priority > 200:
-        raise SacnError("an sACN packet that is cut is ignored")
+        raise InputError("an sACN packet that is cut is ignored")
     if values[0] != 0:
         return None  # Another start code: these are no levels.
     is_terminated = bool(options & _TERMINATED)
@@ -227,11 +224,7 @@ class SacnPort(asyncio.DatagramProtocol):
         now_s, host = asyncio.get_running_loop().time(), str(addr[0])
         if not self.gate.admits(host, now_s):
             return
-        try:
-            packet = packet_of(data)
-        except SacnError as error:
-            self.gate.complaints.add(f"{error} (from {host})", now_s)
-            return
+        packet = self.gate.tried(lambda: packet_of(data), host, now_s)
         if packet is None:
             return
         for address, level in self._levels.take(packet, now_s):

@@ -10,13 +10,29 @@ from __future__ import annotations
 
 import ipaddress
 from collections import Counter
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+
+from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
 
     from lss_motion.playing.remote import schema as m
 
+T = TypeVar("T")
+
+DEEDS: Final = {
+    "go": "go",
+    "stop": "stop",
+    "estop": "estop",
+    "pause": "pause",
+    "resume": "resume",
+    "idle": "stage.stop",
+    "rest": "stage.rest",
+    "wake": "stage.wake",
+}
+"""Operations without an argument, by their words. No `rearm`: after a stop a person with a password
+allows motion again."""
 RATE_HZ: Final = 200.0
 BURST: Final = 100.0
 """Messages of one sender that are looked at. Chosen: a fader sends 60 a second."""
@@ -149,6 +165,14 @@ class Gate:
         self.received = 0
         self._allow, self._rate_hz = allow, rate_hz
         self._limits: dict[str, RateLimit] = {}
+
+    def tried(self, call: Callable[[], T], host: str, now_s: float) -> T | None:
+        """Return what a call makes of a message; None, and a complaint, if it cannot be obeyed."""
+        try:
+            return call()
+        except InputError as error:
+            self.complaints.add(f"{error} (from {host})", now_s)
+            return None
 
     def admits(self, host: str, now_s: float) -> bool:
         """Return whether a message from this address is read; count it otherwise."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.maintenance.careful_legs import (
+from lss_motion.maintenance.careful import (
     SPEED_RATIO,
     WAY_DEG,
     Course,

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lss_motion.errors import InputError
 from lss_motion.stage.triggers import sacn
 from lss_motion.stage.triggers.sacn import SacnPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
@@ -57,13 +58,13 @@ def test_what_carries_no_levels_is_left_out():
     assert sacn.packet_of(packet((1, 2), options=0x40)).is_terminated
     assert sacn.packet_of(packet((1,), universe=300)).universe == 300
     for wrong in (b"", b"Art-Net\0", packet()[:100], packet((1, 2))[:-1], packet(universe=0)):
-        with pytest.raises(sacn.SacnError):
+        with pytest.raises(InputError):
             sacn.packet_of(wrong)
 
 
 @given(st.binary(max_size=300), st.integers(0, 160))
 def test_no_bytes_do_any_harm(noise, keep):
-    with contextlib.suppress(sacn.SacnError):
+    with contextlib.suppress(InputError):
         sacn.packet_of(packet((1, 2, 3))[:keep] + noise)
 
 

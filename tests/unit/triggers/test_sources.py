@@ -7,7 +7,7 @@ import json
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
-from lss_motion.stage.triggers.alerts import WebHook
+from lss_motion.stage.triggers.mqtt import WebHook
 from lss_motion.stage.triggers.sources import (
     BURST,
     RATE_HZ,
