@@ -95,15 +95,25 @@ def add_to(commands: Commands) -> None:
     schema.add_argument(
         "kind",
         nargs="?",
-        choices=("robot", "sequence", "gait", "learnt", "stage", "remote", "log"),
-        help="only the schema of this kind of file, of the messages that steer a running show, or "
-        "of a line of a log (default: all)",
+        choices=(
+            "robot",
+            "sequence",
+            "gait",
+            "learnt",
+            "stage",
+            "remote",
+            "log",
+            "check",
+            "report",
+        ),
+        help="only the schema of this kind of file, of the messages that steer a running show, a "
+        "line of a log, check --json, or a report (default: all)",
     )
     gait = add_command(commands, "gait", _gait)
     gait.add_argument("file", type=Path, metavar="FILE", help="a gait file")
     add_options(gait, "--robot", "--robot-cache")
     add_options(gait, "--output", metavar="S.yaml", help="write the keyframes as a sequence")
-    add_options(gait, "--force", "--plot")
+    add_options(gait, "--force", "--plot", "--json")
 
 
 def _add_check(commands: Commands) -> None:
@@ -134,13 +144,7 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.planning import shows
-    from lss_motion.planning.summaries import (
-        advice_lines,
-        program_lines,
-        robot_as_json,
-        robot_lines,
-        show_as_json,
-    )
+    from lss_motion.planning.summaries import advice_lines, program_lines, robot_lines
     from lss_motion.show.gait import is_gait_file
     from lss_motion.stage import is_stage_file
 
@@ -153,6 +157,8 @@ def _check(arguments: argparse.Namespace) -> int:
         robot = reader(arguments, may_query=False)(arguments.file)
         robot.require_turns(robot.joints.values())
         if arguments.json:
+            from lss_motion.planning.check_json import robot_as_json
+
             print_json(robot_as_json(robot))
         else:
             say("\n".join(robot_lines(robot)))
@@ -179,6 +185,8 @@ def _check(arguments: argparse.Namespace) -> int:
 
             say("\n".join(["", *robust_lines(_trials(show), show.program.duration_s)]))
         return EXIT_FINISHED
+    from lss_motion.planning.check_json import show_as_json
+
     found = show_as_json(show)
     if arguments.robust:
         from lss_motion.playing.robustness import robust_as_json
@@ -274,8 +282,10 @@ def _compile(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
+    from lss_motion.planning.check_json import check_schema
     from lss_motion.playing.log import log_schema
     from lss_motion.playing.remote.schema import schema as remote_schema
+    from lss_motion.playing.report import report_schema
     from lss_motion.robot.learnt import learnt_schema
     from lss_motion.robot.load import robot_schema
     from lss_motion.show.gait.load import gait_schema
@@ -290,6 +300,8 @@ def _schema(arguments: argparse.Namespace) -> int:
         "stage": stage_schema,
         "remote": remote_schema,
         "log": log_schema,
+        "check": check_schema,
+        "report": report_schema,
     }
     if arguments.kind is not None:
         shown = schemas[arguments.kind]()
@@ -303,7 +315,7 @@ def _gait(arguments: argparse.Namespace) -> int:
     from lss_motion.planning import shows
     from lss_motion.planning.trajectory.planner import plan
     from lss_motion.show.gait.load import sequence_from
-    from lss_motion.show.gait.pacing import gait_lines, paced
+    from lss_motion.show.gait.pacing import gait_as_json, gait_lines, paced
     from lss_motion.show.write import write_sequence
 
     outputs = [Output(arguments.output, Kind.YAML), Output(arguments.plot, Kind.PICTURE)]
@@ -321,7 +333,10 @@ def _gait(arguments: argparse.Namespace) -> int:
         from lss_motion.planning.gait_plot import plot_gait
 
         plot_gait(gait, passages, arguments.plot)
-    say("\n".join(gait_lines(gait, passages)))
+    if arguments.json:
+        print_json(gait_as_json(gait, passages))
+    else:
+        say("\n".join(gait_lines(gait, passages)))
     return EXIT_FINISHED
 
 

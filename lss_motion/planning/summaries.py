@@ -1,4 +1,4 @@
-"""What a plan, a program and a robot amount to, as text for people and as JSON.
+"""What a plan, a program and a robot amount to, as text for people.
 
 `check` prints all of it; `plan`, `import` and `record` print `plan_lines`; `compile` and
 `lss-play --dry-run` print `program_lines`.
@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct, to_builtins
+from msgspec import Struct
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.files.texts import counted
-from lss_motion.show.functions import call_lines, calls_of
+from lss_motion.show.functions import call_lines
 from lss_motion.system.clock_leg import RATE_BAND
 
 if TYPE_CHECKING:
@@ -452,68 +452,6 @@ def drive_lines(program: Program) -> list[str]:
     return lines
 
 
-def show_as_json(show: Show) -> dict[str, Any]:
-    """Return the result of `check --json` for a show; angles in degrees."""
-    program, trajectory = show.program, show.trajectory
-    uses = [] if trajectory is None else limit_uses(trajectory, show.robot)
-    joints: dict[str, dict[str, Any]] = {name: {} for name in program.start_deg}
-    for use in uses:
-        joints[use.joint.name] |= {
-            "speed_deg_s": use.speed_deg_s,
-            "speed_max_deg_s": use.joint.speed_max_deg_s,
-            "speed_at_s": use.speed_at_s,
-            "accel_deg_s2": use.accel_deg_s2,
-            "accel_max_deg_s2": use.joint.accel_max_deg_s2,
-            "accel_at_s": use.accel_at_s,
-        }
-    for name, error_deg in program.error_max_deg.items():
-        joints[name]["error_max_deg"] = error_deg
-        joints[name]["bound_deg"] = program.bound_deg[name]
-    return {
-        "kind": "show",
-        "name": program.name,
-        "robot": program.robot,
-        "duration_s": program.duration_s if trajectory is None else trajectory.duration_s,
-        "tolerance_deg": program.tolerance_deg,
-        "joints": joints,
-        "stretched": to_builtins(program.stretched),
-        "given_up": to_builtins(program.given_up),
-        **_late_as_json(trajectory),
-        "smoothing": [] if trajectory is None else to_builtins(smoothings(trajectory)),
-        "ease_advice": [
-            {
-                "name": advice.name,
-                "ease": advice.ease,
-                "at_s": [frame.at_s for frame in advice.keyframes],
-                "late_s": advice.late.total_s,
-                "would_be_s": advice.would_be.total_s,
-            }
-            for advice in advice_of(show)
-        ],
-        "buses": to_builtins(program.line_use),
-        "functions": [
-            {"run": call.run, "files": [str(file) for file in call.files], "count": call.count}
-            for call in calls_of(program.cues)
-        ],
-    }
-
-
-def _late_as_json(trajectory: Trajectory | None) -> dict[str, list[dict[str, Any]]]:
-    """Return the late keyframes, and the holds and rests that became shorter."""
-
-    def named(mark: Mark, **values: float) -> dict[str, Any]:
-        return {"label": mark.label, "at_s": mark.authored_s, "place": mark.place, **values}
-
-    late = [] if trajectory is None else late_marks(trajectory)
-    holds = [] if trajectory is None else shortened_holds(trajectory)
-    rests = [] if trajectory is None else shortened_rests(trajectory)
-    return {
-        "late_keyframes": [named(mark, late_s=late_s) for mark, late_s in late],
-        "shortened_holds": [named(m, hold_s=m.hold_s, held_s=m.held_s) for m in holds],
-        "shortened_rests": [named(m, rest_s=m.rest_s, rested_s=m.rested_s) for m in rests],
-    }
-
-
 def robot_lines(robot: Robot) -> list[str]:
     """Return the buses of a robot and the limits of each joint; `servo`: read from the servo.
 
@@ -543,38 +481,6 @@ def robot_lines(robot: Robot) -> list[str]:
         lines.append(f"figure: {counted(figure.links, 'link')}")
         lines += [f"  {note}" for note in figure.notes]
     return lines
-
-
-def robot_as_json(robot: Robot) -> dict[str, Any]:
-    """Return the result of `check --json` for a robot file; null: the servo has the limit.
-
-    Raises `InputError` as `robot_lines` does.
-    """
-    from lss_motion.show.gait.kinematics import figure_of
-
-    figure = figure_of(robot)
-    return {
-        "kind": "robot",
-        "name": robot.name,
-        "buses": {b.name: {"port": b.port, "baud_bps": b.baud_bps} for b in robot.buses.values()},
-        "joints": {
-            joint.name: {
-                "bus": joint.bus,
-                "id": joint.servo_id,
-                "model": joint.model.name,
-                "range_deg": [joint.position_min_deg, joint.position_max_deg],
-                **{
-                    limit: None if limit in joint.unread else getattr(joint, limit)
-                    for limit in ("speed_max_deg_s", "accel_max_deg_s2")
-                },
-            }
-            for joint in robot.joints.values()
-        },
-        "poses": list(robot.poses),
-        "figure": None
-        if figure is None
-        else {"links": len(figure.links), "notes": list(figure.notes)},
-    }
 
 
 def fit_text(fit: KeyFit) -> str:

@@ -61,7 +61,8 @@ def check(
     `is_robust` also plays it on simulated robots that are worse than assumed, which takes a minute.
     Raises `InputError`, `PlanningError` or `LineLoadError`, as loading, planning and compiling do.
     """
-    from lss_motion.planning import shows, summaries
+    from lss_motion.planning import shows
+    from lss_motion.planning.check_json import show_as_json
     from lss_motion.playing import robustness
 
     sequence = load_sequence(path, robot)
@@ -69,7 +70,7 @@ def check(
         assert sequence.robot_path is not None, "without a robot it would not have been loaded"
         robot = load_robot(sequence.robot_path)
     show = shows.compiled(sequence, robot)
-    found = summaries.show_as_json(show)
+    found = show_as_json(show)
     if is_robust:
         trials = list(robustness.trials(show))
         found["robust"] = robustness.robust_as_json(trials, show.program.duration_s)

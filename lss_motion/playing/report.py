@@ -196,6 +196,14 @@ class Report(Struct, frozen=True, kw_only=True):
         return found
 
 
+def report_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a report, as `--report` writes it."""
+    import msgspec
+
+    made: dict[str, Any] = msgspec.json.schema(Report)
+    return made
+
+
 def make_report(
     player: Player,
     *,

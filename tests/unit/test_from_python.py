@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -39,6 +40,44 @@ def test_check_returns_what_the_command_prints(capsys, name):
     assert json.loads(json.dumps(found)) == json.loads(
         printed(capsys, "check", SEQUENCES / name, "--json")
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", SEQUENCES / "fastest.yaml"),
+        ("check", SEQUENCES / "tracks.yaml"),
+        ("check", SEQUENCES / "quadruped_trot.yaml"),
+        ("check", ARM),
+        ("report", WAVE),
+    ],
+)
+def test_what_is_printed_as_json_is_as_its_schema_says(capsys, tmp_path, words):
+    """And as it says only: a key that the schema does not know is refused here."""
+    kind, path = words
+    if kind == "check":
+        found = json.loads(printed(capsys, "check", path, "--json"))
+    else:
+        report = tmp_path / "report.json"
+        assert play.main([str(path), "--virtual", "--loop", "1", "--report", str(report)]) == 0
+        capsys.readouterr()
+        found = json.loads(report.read_text(encoding="utf-8"))
+    schema = json.loads(printed(capsys, "schema", kind))
+    for part in schema["$defs"].values():
+        part["additionalProperties"] = part.get("additionalProperties", False)
+    jsonschema.Draft202012Validator(schema).validate(found)
+    assert found["schema"] == 1
+
+
+def test_a_gait_is_printed_as_json(capsys):
+    path = SEQUENCES / "quadruped_trot.yaml"
+    found = json.loads(printed(capsys, "gait", path, "--json"))
+    lines = printed(capsys, "gait", path).splitlines()
+    assert f"one pass {found['duration_s']:.2f} s" in lines[0]
+    assert len(found["legs"]) == 4
+    walk, *_ = found["passages"]
+    assert [action["label"] for action in walk["actions"]] == ["walk", "bend", "back"]
+    assert f"body up to {-walk['margin_min_mm']:.0f} mm outside" in lines[1]
 
 
 @pytest.mark.parametrize("format_name", ["csv", "ros", "blender-json"])

@@ -8,9 +8,10 @@ import math
 import pytest
 from msgspec.structs import replace
 
+from lss_motion.planning.check_json import show_as_json
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.shows import Show
-from lss_motion.planning.summaries import limit_uses, plan_lines, program_lines, show_as_json
+from lss_motion.planning.summaries import limit_uses, plan_lines, program_lines
 from lss_motion.planning.trajectory import kept_plans
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Robot

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from msgspec import Struct
@@ -269,6 +269,53 @@ def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
         lines += [f"  {_action_text(gait, action, part.pace_ratio)}" for action in part.actions]
         start_s = end_s + part.hold_s
     return lines
+
+
+def gait_as_json(gait: Gait, passages: tuple[Paced, ...]) -> dict[str, Any]:
+    """Return what `gait_lines` says as the JSON object of `gait --json`; null: without end."""
+    start_s, parts = 0.0, []
+    for part in passages:
+        end_s = start_s + part.duration_s + looped_s(gait, part)
+        parts.append(
+            {
+                "start_s": start_s,
+                "end_s": None if end_s == math.inf else end_s,
+                "hold_s": part.hold_s,
+                "pace_ratio": part.pace_ratio,
+                "joint": part.joint,
+                "limit": part.limit,
+                "margin_min_mm": part.margin_min_mm,
+                "margin_at_s": part.margin_min_s * part.pace_ratio,
+                "actions": [
+                    {"label": action.label, "line": action.line} | _action_json(action, part)
+                    for action in part.actions
+                ],
+            }
+        )
+        start_s = end_s + part.hold_s
+    return {
+        "kind": "gait",
+        "schema": 1,
+        "name": gait.name,
+        "legs": [leg.name for leg in gait.legs],
+        "pattern": gait.pattern.name,
+        "is_static": gait.pattern.is_static,
+        "duty_ratio": gait.duty,
+        "duration_s": None if start_s == math.inf else start_s,
+        "passages": parts,
+    }
+
+
+def _action_json(action: Action, part: Paced) -> dict[str, Any]:
+    if not isinstance(action, Walk):
+        return {"in_s": action.in_s * part.pace_ratio, "hold_s": action.hold_s}
+    more = action.more_cycles
+    return {
+        "forward_mm_s": action.forward_mm_s / part.pace_ratio,
+        "left_mm_s": action.left_mm_s / part.pace_ratio,
+        "turn_deg_s": action.turn_deg_s / part.pace_ratio,
+        "cycles": None if more is None else action.cycles + more,
+    }
 
 
 def looped_s(gait: Gait, part: Paced) -> float:
