@@ -93,6 +93,9 @@ FOUND_MIXED = (
     324,  # Another servo took the place of one while the settings were set.
     70464,  # The same while the servos were asked where they stand after the approach.
     60333,  # A lag turned out to be larger: three moves of a joint left at once.
+    92583,  # Each approach sent a joint in EM0 out of its range by the noise of a reading.
+    90543,  # Two queries to one overdue servo delayed a joint in EM0: its filter braked.
+    90345,  # Lines that arrived as one, and late, made a filter brake: nobody's doing.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""
 

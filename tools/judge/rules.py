@@ -76,7 +76,7 @@ class Told:
 
     `moves` are those that the host wrote. `foreign_s` is the first instant at which it obeyed
     something that the host did not write: a garbled line, or another host. `gaps` are times in
-    which it missed lines of the host, or got them late.
+    which it missed lines of the host, or got them late, or several as one line.
     """
 
     session: Session
@@ -91,6 +91,8 @@ class Told:
 def told(joint: JointRow, servo: ServoRecord, bus: BusRecord) -> Told:
     """Return what a servo received, with the settings that were in force for each move."""
     sent, gaps = _own(bus.written, joint), []
+    texts = {line.text for line in bus.written}
+    merged_s = {line.at_s for line in servo.received if line.text not in texts}
     session = Session(joint, servo.stored)
     moves, foreign_s, powerless = [], math.inf, []
     restarts = deque(sorted(servo.restarts))
@@ -107,7 +109,7 @@ def told(joint: JointRow, servo: ServoRecord, bus: BusRecord) -> Told:
         is_again = own_s is None and last[0] == section.text and at_s - last[1] < LATE_S
         if own_s is None and not is_again and not section.is_query:
             foreign_s = min(foreign_s, at_s)
-        elif own_s is not None and at_s - own_s > LATE_S:
+        elif own_s is not None and (at_s - own_s > LATE_S or at_s in merged_s):
             gaps.append((own_s, at_s))
         last = (section.text, at_s)
         if section.keyword in MOVES | WHEELS | {"H"}:

@@ -30,6 +30,10 @@ GLIDE_AFTER_S: Final = 0.25
 """A course of bare `D`s begins this long after the first commands, so that each gets its slot."""
 GLIDE_TOLERANCE_DEG: Final = 0.05
 """Half a wire unit: there is no hurry, and the speed should be even."""
+NOISE_UNITS: Final = 3.0
+"""A joint in EM0 that reads less than this outside of its range stands on its edge. Chosen: the
+noise of a reading (FACTS.md E7), of which the filter makes a start of 5 deg/s at most. Without it,
+each approach would send the joint further out by the noise of one reading."""
 GLIDE_END_S: Final = 0.1
 """Time for which a course stands at its end, so that the end is fitted as a rest."""
 
@@ -53,6 +57,18 @@ def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
                 position_max_deg=max(joint.position_max_deg, here_deg),
             )
     return replace(robot, joints=joints)
+
+
+def without_noise(robot: Robot, standing_deg: Mapping[str, float]) -> dict[str, float]:
+    """Return the servo angles where joints stand, those in EM0 not outside of a range by noise."""
+    standing = dict(standing_deg)
+    for name, servo_deg in standing_deg.items():
+        joint = robot.joints[name]
+        edge_deg = _within_range(joint, servo_deg)
+        is_near = abs(edge_deg - servo_deg) <= NOISE_UNITS * joint.unit_deg
+        if joint.drive == "streamed" and is_near:
+            standing[name] = edge_deg
+    return standing
 
 
 class _Leg(NamedTuple):

@@ -163,7 +163,7 @@ class PollScheduler:
                 self._choice.note_timeout(bus)
                 self._note_silence(bus, expired.command.servo_id, now_ns)
             if self._is_starved(bus, now_ns):
-                self._poll_overdue(bus, now_ns)
+                self._poll_overdue(bus, now_ns, quiet_until_ns)
             if now_ns < self._rest_until_ns:
                 self._next_ns[bus] = self._rest_until_ns
                 continue
@@ -326,10 +326,12 @@ class PollScheduler:
         tracker.send(question, now_ns, is_patient=not self._choice.is_behind(bus, now_ns))
         return True
 
-    def _poll_overdue(self, bus: str, now_ns: int) -> None:
-        """Poll overdue, silent or doubted servos even when moves are queued.
+    def _poll_overdue(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> None:
+        """Poll an overdue, silent or doubted servo even when moves are queued.
 
-        This is no visit: the order of the turns does not change.
+        This is no visit: the order of the turns does not change. A move that is due meanwhile is
+        delayed by one query at most, that about health if it is late, for a servo in EM0 brakes
+        without its next target.
         """
         tracker, quiet = self._trackers[bus], self.health.unresponsive()
         waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
@@ -342,10 +344,20 @@ class PollScheduler:
             if tracker.is_waiting(servo_id):  # An equal query would keep its flight open for ever.
                 continue
             words = [urgent] if urgent else self._choice.overdue_words(bus, state, now_ns)
-            if self._send_overdue(bus, state, words[0], now_ns, is_urgent=urgent is not None):
-                if words[1:] and self._send_overdue(bus, state, words[1], now_ns):
-                    self._choice.note_health_sent(state, words[1], now_ns)
-                    self.watch.note_query(state.joint.name, words[1], now_ns)
+            health = words[1] if words[1:] else None
+            size_bytes = sum(query_of(servo_id, word)[1] for word in words)
+            both_ns = self._lines[bus].arrival_ns(size_bytes, now_ns)
+            if quiet_until_ns is not None and both_ns > quiet_until_ns:
+                words = words[-1:]
+            is_sent = False
+            for word in words:
+                if not self._send_overdue(bus, state, word, now_ns, is_urgent=word == urgent):
+                    break
+                is_sent = True
+                if word == health:
+                    self._choice.note_health_sent(state, word, now_ns)
+                    self.watch.note_query(state.joint.name, word, now_ns)
+            if is_sent:
                 return
 
     def _send_overdue(

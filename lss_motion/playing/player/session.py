@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program.verify import profiles
 from lss_motion.playing.player import checks, handshake
-from lss_motion.playing.player.approach import approach, with_room
+from lss_motion.playing.player.approach import approach, with_room, without_noise
 from lss_motion.playing.player.cues import SensorWatch
 from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
 from lss_motion.playing.player.handshake import SettingsDialogue
@@ -357,8 +357,9 @@ class Session:
 
         `is_beside`: while a show moves the other joints.
         """
-        program = approach(self.robot, self.standing_deg, pose_deg)
-        streamer = self._stream(program, self.standing_deg, now_ns, is_beside=is_beside)
+        standing_deg = without_noise(self.robot, self.standing_deg)
+        program = approach(self.robot, standing_deg, pose_deg)
+        streamer = self._stream(program, standing_deg, now_ns, is_beside=is_beside)
         for state in streamer.joint_states.values():
             state.limit_speed(self.robot.approach_speed_deg_s)
         return streamer
