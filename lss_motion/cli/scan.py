@@ -103,7 +103,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
 def _bus(port: str | None) -> Bus:
     """Return the bus at `port`; without it, list the ports and return the only one on USB."""
     from lss_motion.maintenance.api import scanned_bus
-    from lss_motion.system.port import list_devices
+    from lss_motion.system.devices import list_devices
 
     if port is None:
         devices = list_devices()

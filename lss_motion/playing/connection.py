@@ -4,7 +4,8 @@
         answers = connection.ask([Item(bus="main", command=Command(5, "QV"), is_query=True)])
 
 A bus whose port is `sim://` is simulated in this process, from the joints of `robot`; any other
-port is opened with pyserial, including the pseudo-terminal of `lss-motion sim`.
+port is opened with pyserial if it can be a serial line (`system.devices`), including the
+pseudo-terminal of `lss-motion sim`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from lss_motion.playing.player.transactions import Conversation
 from lss_motion.playing.runner import D, run
 from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.system.clock import MonotonicClock, VirtualClock
+from lss_motion.system.devices import opened_name
 from lss_motion.system.port import SerialPort
 from lss_motion.system.signals import raising
 from lss_motion.units import ns_from_s
@@ -106,6 +108,9 @@ def connect(
     `is_recorded`, they keep neither lines nor horn angles, so a run of days needs no memory. Raises
     `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot.
     """
+    for bus in buses.values():
+        if not bus.is_simulated:
+            opened_name(bus.port)  # All are judged before one is opened.
     connection = Connection(buses, clock or MonotonicClock())
     try:
         for bus in buses.values():

@@ -196,7 +196,8 @@ class BusEntry(FileModel, title="bus"):
 
     port: PortUrl = Field(
         default="sim://",
-        description="Device name or pyserial URL; sim:// is the built-in simulated bus.",
+        description="Serial device; sim:// is the built-in simulated bus. Also socket://HOST:PORT, "
+        "rfc2217://HOST:PORT, and hwgrep://TEXT for a USB device by its name or numbers.",
         examples=["sim://", "/dev/ttyUSB0", "COM3"],
     )
     baud_bps: Annotated[int, Check(_check_baud)] = Field(

@@ -109,7 +109,7 @@ class ServoModel(Struct, frozen=True, kw_only=True):
 
 
 class Bus(Struct, frozen=True, kw_only=True):
-    """One serial line. `port` is a pyserial URL, a device name, or `sim://`."""
+    """One serial line. `port` is what `system.devices.opened_name` allows, or `sim://`."""
 
     name: str
     port: str

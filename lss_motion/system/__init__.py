@@ -8,7 +8,8 @@
 | `clock.py`     | the computer's clock, and virtual time           | `playing`, `sim`            |
 | `clock_leg.py` | show time as a function of the run clock         | `playing`, `sound`          |
 | `sound_messages.py` | what the process that plays sounds is told  | `playing`, `sound`          |
-| `port.py`      | serial ports: list, open, reopen                 | `playing`, `sim`, `cli`     |
+| `devices.py`   | serial devices, and what may be opened as a port | `port`, `cli`               |
+| `port.py`      | serial ports: open, reopen                       | `playing`, `sim`            |
 | `real_time.py` | priority, memory and timers of the system        | `playing`, `sim.pty`        |
 | `signals.py`   | signals that end a program, at any instant       | `cli`, `playing`, `sim`     |
 | `computer.py`  | checks of this computer (`lss-motion doctor`)    | `cli.doctor`                |

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from lss_motion.system.clock import MonotonicClock
-from lss_motion.system.port import list_devices, permission_hint
+from lss_motion.system.devices import list_devices, permission_hint
 from lss_motion.system.real_time import prompt_waits
 from lss_motion.units import NS_PER_MS, NS_PER_US
 

@@ -1,6 +1,6 @@
-"""Ports: what the run loop requires of one, the serial port, and the computer's serial devices.
+"""Ports: what the run loop requires of one, and the serial port.
 
-`Port` is the contract; `SerialPort` opens a device with pyserial; `ReopeningPort` wraps a port and
+`Port` is the contract; `SerialPort` opens a port with pyserial; `ReopeningPort` wraps a port and
 opens it again after it was lost. `Outbox` holds the bytes that a port does not take at once, and
 raises when it takes none for too long. No call waits, except `close`, which waits for the last
 bytes as long as they leave.
@@ -13,12 +13,10 @@ import errno
 import os
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
-from msgspec import Struct
-
 from lss_motion.errors import BlockedPortError, BusError, LostPortError
+from lss_motion.system.devices import ABSENT, NO_PORT, opened_name, permission_hint
 from lss_motion.system.reactor import wait_for
 from lss_motion.units import NS_PER_MS, NS_PER_S, line_time_ns, s_from_ns
 
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 READ_MAX_BYTES: Final = 4096
 """The most that one call reads; a line at 115200 bps delivers that in a third of a second."""
 POLL_NS: Final = 2 * NS_PER_MS
-"""How often a port is polled that has no file number (Windows, `loop://`) or did not take all."""
+"""How often a port is polled that has no file number (Windows) or did not take all."""
 BLOCKED_NS: Final = NS_PER_S // 2
 """A port is lost when no byte leaves it for so long, beyond the line time of what waits. Chosen:
 half of `robot.model.SILENT_S`, so that the port is named as the cause, not its servos."""
@@ -43,7 +41,6 @@ twice `BLOCKED_NS`, so that it is not full before the port is lost."""
 LOOK_NS: Final = 20 * NS_PER_MS
 """How long after a write, and how often, the system is asked how many bytes have not left."""
 
-NO_PORT: Final = "that is no serial device. `lss-motion scan` lists them"
 IN_USE: Final = "another program has it open; end that one first (LSS Config? another lss-motion?)"
 GONE: Final = "the device is gone, or another program reads from it. Look at its plug and cable"
 BLOCKED: Final = (
@@ -163,9 +160,9 @@ class Outbox:
 
 
 class SerialPort:
-    """A device or pyserial URL, opened exclusively, 8N1, without flow control.
+    """A port that `opened_name` allows, opened exclusively, 8N1, without flow control.
 
-    A write to a device never waits. One to another URL (`socket://`) or on Windows may wait for
+    A write to a device never waits. One over the network (`socket://`) or on Windows may wait for
     `BLOCKED_NS` before the port is lost.
     """
 
@@ -173,9 +170,10 @@ class SerialPort:
         import serial
 
         self.url = url
+        name = opened_name(url)
         try:
             self._serial: serial.Serial = serial.serial_for_url(
-                url,
+                name,
                 baudrate=baud_bps,
                 timeout=0,
                 write_timeout=s_from_ns(BLOCKED_NS),
@@ -297,7 +295,7 @@ class SerialPort:
 def _reason(error: Exception, url: str) -> str:
     """Return the cause of a failure to open or use a port, in words for a person."""
     hints = {
-        errno.ENOENT: "there is no such device; is it plugged in?",
+        errno.ENOENT: ABSENT,
         errno.EACCES: permission_hint(url),
         errno.EBUSY: IN_USE,
         errno.EAGAIN: IN_USE,
@@ -428,56 +426,3 @@ class ReopeningPort:
             return
         self._port, self._probed = self._probed, None
         self._found(now_ns)
-
-
-class Device(Struct, frozen=True, kw_only=True):
-    """A serial port of this computer. `name` is the text that its USB chip reports."""
-
-    path: str
-    name: str
-    is_usb: bool
-
-
-def list_devices() -> list[Device]:
-    """Return the serial ports of this computer, those on USB first."""
-    from serial.tools.list_ports import comports
-
-    found = [
-        Device(path=port.device, name=_name(port), is_usb=port.vid is not None)
-        for port in comports()
-    ]
-    return sorted(found, key=lambda device: (not device.is_usb, device.path))
-
-
-def permission_hint(path: str) -> str:
-    """Return how to get the permission to open a device: the group to join, where there is one.
-
-    Never raises.
-    """
-    try:
-        import grp
-
-        group = grp.getgrgid(Path(path).stat().st_gid).gr_name
-        user = os.environ.get("USER") or "$USER"
-    except (ImportError, KeyError, OSError):
-        return "no permission; on Linux join the group that owns it, usually `dialout`"
-    if group == "root":
-        return (
-            "no permission: it belongs to root alone. `sudo chmod a+rw` helps until it is plugged "
-            "in again; a udev rule that gives it to `dialout` helps permanently"
-        )
-    return (
-        f"no permission: it belongs to the group `{group}`. Join it with "
-        f"`sudo usermod -aG {group} {user}`, then log out and in again"
-    )
-
-
-def _name(port: object) -> str:
-    """Return the name of a port in pyserial's list, and its serial number if it has one."""
-    words = [getattr(port, key, None) for key in ("manufacturer", "product")]
-    name = " ".join(str(word) for word in words if word)
-    if not name:
-        description = getattr(port, "description", None)
-        name = "" if description in (None, "n/a") else str(description)
-    serial_number = getattr(port, "serial_number", None)
-    return f"{name} ({serial_number})" if serial_number else name or "no name"

@@ -115,14 +115,6 @@ def test_a_move_ends_where_it_was_sent(way):
     assert abs(angle - 200) <= 15
 
 
-def test_a_loopback_gives_back_what_was_written_through_the_serial_path():
-    port = SerialPort("loop://", 115200)
-    port.write(b"#1QD\r")
-    assert port.read() == b"#1QD\r"
-    assert port.read() == b""
-    port.close()
-
-
 def test_a_port_that_is_not_there_is_a_bus_error_that_names_it(tmp_path):
     with pytest.raises(BusError, match="nothing"):
         SerialPort(str(tmp_path / "nothing"), 115200)

@@ -10,7 +10,7 @@ import serial
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.system import port as runtime_port
+from lss_motion.system import devices
 
 pytestmark = pytest.mark.realtime
 
@@ -101,8 +101,8 @@ def test_without_permission_the_group_to_join_is_named(lss_motion, tmp_path, mon
 
 def test_without_a_port_those_of_the_computer_are_shown(lss_motion, monkeypatch):
     def found(*known):
-        ports = [runtime_port.Device(path=path, name="FT232R", is_usb=True) for path in known]
-        monkeypatch.setattr(runtime_port, "list_devices", lambda: ports)
+        ports = [devices.Device(path=path, name="FT232R", is_usb=True) for path in known]
+        monkeypatch.setattr(devices, "list_devices", lambda: ports)
         return lss_motion("scan")
 
     code, out, errors = found("/dev/ttyUSB0", "/dev/ttyUSB1")

@@ -10,7 +10,7 @@ from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 from lss_motion.system import computer
 from lss_motion.system.computer import Level
-from lss_motion.system.port import Device
+from lss_motion.system.devices import Device
 
 US = 1000
 
