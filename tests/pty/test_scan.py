@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 
 import pytest
 import serial
@@ -85,8 +86,9 @@ def test_a_port_in_use_is_told_as_such(on_terminal, servo, lss_motion):
 def test_without_permission_the_group_to_join_is_named(lss_motion, tmp_path, monkeypatch):
     import grp
 
+    other_fd, fd = os.openpty()
     port = tmp_path / "ttyUSB0"
-    port.touch()
+    port.symlink_to(os.ttyname(fd))
 
     def refuse(*_):
         raise PermissionError(13, "Permission denied")
@@ -97,6 +99,8 @@ def test_without_permission_the_group_to_join_is_named(lss_motion, tmp_path, mon
     assert code == EXIT_UNREACHABLE
     assert "it belongs to the group `uucp`" in errors
     assert "usermod -aG uucp" in errors
+    os.close(other_fd)
+    os.close(fd)
 
 
 def test_without_a_port_those_of_the_computer_are_shown(lss_motion, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+
 import pytest
 
 from lss_motion.errors import BusError, InputError
@@ -60,14 +62,18 @@ def test_a_wait_takes_its_time_and_drops_late_data(robot):
         assert connection.ports["left"].read() == b""
 
 
-def test_nothing_stays_open_when_one_port_does_not_open(tmp_path, robot, monkeypatch):
+def test_nothing_stays_open_when_one_port_does_not_open(robot, monkeypatch):
     closed = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        closed_port = server.getsockname()[1]
     monkeypatch.setattr("lss_motion.sim.bus.SimPort.close", lambda port: closed.append(port.url))
     buses = {
         "left": robot.buses["left"],
-        "gone": Bus(name="gone", port=str(tmp_path / "no"), baud_bps=9600, firmware=370),
+        "gone": Bus(
+            name="gone", port=f"socket://127.0.0.1:{closed_port}", baud_bps=9600, firmware=1
+        ),
     }
-    with pytest.raises(BusError, match="no such device"):
+    with pytest.raises(BusError, match="cannot open port socket://"):
         connect(buses, robot=robot)
     assert closed == ["sim://"]
 
