@@ -8,7 +8,6 @@
 | `reader`      | `Reader`, and the motion that it returns                   | the readers         |
 | `fields`      | checked values from JSON and text, with their place        | the readers         |
 | `labels`      | labels and mouth shapes → keyframes                        | `importing`         |
-| `mouth_shapes` | names of mouth shapes and phonemes                        | `labels`            |
 | `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
 | `voice`       | a sound → the motion of a jaw, a nod, a sway               | cli                 |
 | `reduce`      | a recording → few keys within a tolerance                  | `importing`         |
@@ -16,33 +15,23 @@
 | `recorded`    | the recording of a joint, and the curve between its keys   | the two above       |
 | `export`      | samples of a plan → CSV, ROS, Blender                      | cli                 |
 
-One reader per module:
+Readers, each a value of `Reader`:
 
-| module        | format                                                                 |
-|---------------|------------------------------------------------------------------------|
-| `audacity`    | label tracks of Audacity                                               |
-| `bitbots`     | keyframe JSON of the Bit-Bots humanoids                                |
-| `blender`     | JSON of the Blender add-on for servo animation                         |
-| `bottango`    | `AnimationCommands.json` of Bottango                                   |
-| `bvh`         | motion capture as BVH: a skeleton and its frames                       |
+| module         | formats                                                                |
+|----------------|------------------------------------------------------------------------|
+| `bottango`     | `AnimationCommands.json` of Bottango                                   |
+| `bvh`          | motion capture as BVH: a skeleton and its frames                       |
 | `command_text` | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
-| `csv`         | wide and long CSV tables                                               |
-| `d6a`         | action groups of Hiwonder robots (SQLite)                              |
-| `hulks`       | motion JSON of the HULKs humanoids                                     |
-| `lerobot`     | LeRobot datasets (parquet; needs pyarrow)                              |
-| `maestro`     | settings XML of the Pololu Maestro                                     |
-| `opencat`     | C arrays of OpenCat skills (Petoi)                                     |
-| `papagayo`    | lip-sync projects of Papagayo, switch data of Moho                     |
-| `poses`       | plain lists of poses in JSON or CSV                                    |
-| `praat`       | TextGrids of Praat, long and short                                     |
-| `pypose`      | PyPose projects (`.ppr`)                                               |
-| `pypot`       | recorded moves of pypot (Poppy robots)                                 |
-| `rhubarb`     | mouth cues of Rhubarb Lip Sync: JSON, XML, TSV                         |
-| `robotis`     | Robotis motion files: `.mtn` text and binary pages                     |
-| `ros`         | ROS trajectories, `play_motion` collections and goals in YAML          |
-| `ssc32_table` | step tables of the SSC-32 visual sequencer                             |
-| `webots`      | Webots `.motion` text                                                  |
-| `xlights`     | timing tracks of xLights                                               |
+| `csv`          | wide and long CSV tables                                               |
+| `d6a`          | action groups of Hiwonder robots (SQLite)                              |
+| `json_motions` | JSON of Bit-Bots, HULKs, Poppy (pypot) and the Blender add-on          |
+| `label_files`  | labels: Audacity, Rhubarb, Papagayo, Praat, xLights                    |
+| `lerobot`      | LeRobot datasets (parquet; needs pyarrow)                              |
+| `opencat`      | C arrays of OpenCat skills (Petoi)                                     |
+| `poses`        | plain lists of poses in JSON or CSV                                    |
+| `robotis`      | Robotis motion files: `.mtn` text and binary pages                     |
+| `ros`          | ROS trajectories, `play_motion` collections and goals in YAML          |
+| `step_tables`  | steps of Maestro, SSC-32 sequencer, Webots, PyPose                     |
 """
 
 from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported

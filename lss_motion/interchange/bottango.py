@@ -12,10 +12,17 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from msgspec import Struct
 
 from lss_motion.interchange.fields import NUMBER_MAX, JsonFields, parsed_json, starts_json
-from lss_motion.interchange.reader import VALUES_MAX, Channel, Unit, recording, summarised, thinned
+from lss_motion.interchange.reader import (
+    VALUES_MAX,
+    Channel,
+    Reader,
+    Unit,
+    recording,
+    summarised,
+    thinned,
+)
 from lss_motion.show.model import TIME_MAX_S
 from lss_motion.units import s_from_ms
 
@@ -51,30 +58,30 @@ class _Controller:
     signals: dict[str, tuple[float, float, Unit]] = field(default_factory=dict)
 
 
-class BottangoReader(Struct, frozen=True):
-    """Reads a list of controllers; each animation, over all controllers, is one motion.
+def _is_bottango(data: bytes) -> bool:
+    return starts_json(data, b"[") and b'"Animation Commands"' in data
 
-    The name of a joint is the id of its effector, with the prefix `controller/` if the file has
-    several controllers.
-    """
 
-    name: str = "bottango"
+def _bottango_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    fields = JsonFields(path)
+    content = parsed_json(path, data)
+    if not isinstance(content, list) or not content:
+        fields.refuse("the file must be a list of controllers")
+    animations = _Animations(fields)
+    for index, entry in enumerate(content):
+        where = f"[{index}]"
+        controller = fields.mapping(entry, where)
+        title = str(controller.get("Controller Name") or index)
+        animations.add(controller, where, f"{title}/" if len(content) > 1 else "")
+    return animations.motions()
 
-    def recognises(self, data: bytes) -> bool:
-        return starts_json(data, b"[") and b'"Animation Commands"' in data
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        fields = JsonFields(path)
-        content = parsed_json(path, data)
-        if not isinstance(content, list) or not content:
-            fields.refuse("the file must be a list of controllers")
-        animations = _Animations(fields)
-        for index, entry in enumerate(content):
-            where = f"[{index}]"
-            controller = fields.mapping(entry, where)
-            title = str(controller.get("Controller Name") or index)
-            animations.add(controller, where, f"{title}/" if len(content) > 1 else "")
-        return animations.motions()
+BOTTANGO: Final = Reader("bottango", _is_bottango, _bottango_motions)
+"""Reads a list of controllers; each animation, over all controllers, is one motion.
+
+The name of a joint is the id of its effector, with the prefix `controller/` if the file has
+several controllers.
+"""
 
 
 @dataclass(slots=True)

@@ -19,6 +19,7 @@ from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
+    Reader,
     Unit,
     motion_name,
     recording,
@@ -47,36 +48,36 @@ _FRAMES: Final = re.compile(r"frames\s*:\s*(\S+)", re.IGNORECASE)
 _FRAME_TIME: Final = re.compile(r"frame\s*time\s*:\s*(\S+)", re.IGNORECASE)
 
 
-class BvhReader(Struct, frozen=True):
-    """Reads `HIERARCHY … MOTION …`; degrees, at the frames' distance."""
+def _is_bvh(data: bytes) -> bool:
+    return text_head(data, 1024).lstrip().upper().startswith(HEADER.encode())
 
-    name: str = "bvh"
 
-    def recognises(self, data: bytes) -> bool:
-        return text_head(data, 1024).lstrip().upper().startswith(HEADER.encode())
+def _bvh_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    lines = TextLines.of(path, data)
+    rows = list(lines.numbered())
+    begin = next((n for n, (_, row) in enumerate(rows) if row.upper() == "MOTION"), None)
+    if begin is None:
+        lines.refuse(None, "has no line MOTION: it was cut off, or is a skeleton only")
+    joints = _skeleton(lines, rows[:begin])
+    frame_s, values = _frames(lines, rows[begin:], sum(len(joint.kinds) for joint in joints))
+    times_s = np.arange(len(values), dtype=np.float64) * frame_s
+    channels: list[Channel] = []
+    left_out: list[str] = []
+    column = 0
+    for joint in joints:
+        own = values[:, column : column + len(joint.kinds)]
+        column += len(joint.kinds)
+        if any(kind.lower().endswith("position") for kind in joint.kinds):
+            left_out.append(f"the place of {joint.name} in the room")
+        channels += _turns(joint, times_s, own)
+    if not channels:
+        lines.refuse(None, "has no channel that is a rotation")
+    comments = (f"Imported from {path.name} (BVH motion capture).", *summarised(left_out))
+    return (recording(path, motion_name(path), channels, comments=comments),)
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        lines = TextLines.of(path, data)
-        rows = list(lines.numbered())
-        begin = next((n for n, (_, row) in enumerate(rows) if row.upper() == "MOTION"), None)
-        if begin is None:
-            lines.refuse(None, "has no line MOTION: it was cut off, or is a skeleton only")
-        joints = _skeleton(lines, rows[:begin])
-        frame_s, values = _frames(lines, rows[begin:], sum(len(joint.kinds) for joint in joints))
-        times_s = np.arange(len(values), dtype=np.float64) * frame_s
-        channels: list[Channel] = []
-        left_out: list[str] = []
-        column = 0
-        for joint in joints:
-            own = values[:, column : column + len(joint.kinds)]
-            column += len(joint.kinds)
-            if any(kind.lower().endswith("position") for kind in joint.kinds):
-                left_out.append(f"the place of {joint.name} in the room")
-            channels += _turns(joint, times_s, own)
-        if not channels:
-            lines.refuse(None, "has no channel that is a rotation")
-        comments = (f"Imported from {path.name} (BVH motion capture).", *summarised(left_out))
-        return (recording(path, motion_name(path), channels, comments=comments),)
+
+BVH: Final = Reader("bvh", _is_bvh, _bvh_motions)
+"""Reads `HIERARCHY … MOTION …`; degrees, at the frames' distance."""
 
 
 class _Joint(Struct, frozen=True):

@@ -20,10 +20,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
-from msgspec import Struct
 
 from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
@@ -35,6 +35,7 @@ from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
     Note,
+    Reader,
     Unit,
     is_dense,
     motion_name,
@@ -99,26 +100,33 @@ class _ServoMove(NamedTuple):
     line: int
 
 
-class CommandReader(Struct, frozen=True):
-    """Reads `#<id>D<tenths>T<ms>` (joints by their ids) and `#<ch>P<us>…T<ms>` (pulses)."""
+def command_reader(wait_unit: Literal["ms", "s"] | None = None) -> Reader:
+    """Return what reads `#<id>D<tenths>T<ms>` (joints by id) and `#<ch>P<us>…T<ms>` (pulses).
 
-    name: str = "commands"
-    wait_unit: Literal["ms", "s"] | None = None
-    """The unit of a `wait` or `pause` without one; None: decided by its numbers."""
+    `wait_unit` is that of a `wait` or `pause` without one; None: decided by its numbers.
+    """
+    return Reader("commands", _is_command_text, partial(_command_motions, wait_unit))
 
-    def recognises(self, data: bytes) -> bool:
-        head = text_head(data, 8192).decode("utf-8", "replace").lstrip()
-        return not head.startswith("#WEBOTS") and _MOVE.search(_plain(head)) is not None
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        lines = TextLines.of(path, data)
-        units = _bare_units(lines)
-        if self.wait_unit is not None:
-            units = dict.fromkeys(units, self.wait_unit)
-        text = _CommandText(lines, units)
-        for number, line in text.lines.numbered():
-            text.read(number, line)
-        return (text.motion(),)
+def _is_command_text(data: bytes) -> bool:
+    head = text_head(data, 8192).decode("utf-8", "replace").lstrip()
+    return not head.startswith("#WEBOTS") and _MOVE.search(_plain(head)) is not None
+
+
+def _command_motions(
+    wait_unit: Literal["ms", "s"] | None, path: Path, data: bytes
+) -> tuple[ForeignMotion, ...]:
+    lines = TextLines.of(path, data)
+    units = _bare_units(lines)
+    if wait_unit is not None:
+        units = dict.fromkeys(units, wait_unit)
+    text = _CommandText(lines, units)
+    for number, line in text.lines.numbered():
+        text.read(number, line)
+    return (text.motion(),)
+
+
+COMMANDS: Final = command_reader()
 
 
 def _plain(text: str) -> str:

@@ -29,6 +29,7 @@ from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
     Note,
+    Reader,
     Unit,
     is_dense,
     motion_name,
@@ -321,34 +322,32 @@ def _is_value(name: str) -> bool:
     return name in {"deg", "rad", "us"} or (base in _LONG_VALUES and unit in _ANGLE_UNITS)
 
 
-class CsvReader(Struct, frozen=True):
-    """Reads both forms; the header decides which."""
+def _is_csv(data: bytes) -> bool:
+    head = text_head(data, 65_536).decode("utf-8", "replace")
+    rows = [(at, row.strip()) for at, row in enumerate(head.splitlines(), 1) if row.strip()]
+    try:
+        found = header_of(rows)
+    except csv.Error:
+        return False
+    if found is None or len(found[1]) < 2:
+        return False
+    _, header, delimiter, first_row = found
+    if not any(seconds_of(name) or (is_time_name(name) and _is_instant(name)) for name in header):
+        return False
+    first = next((row for at, row in rows if at > first_row and not row.startswith("#")), "")
+    cells = cells_of(first, delimiter)
+    return delimiter != " " or (len(cells) == len(header) and _are_values(cells, delimiter))
 
-    name: str = "csv"
 
-    def recognises(self, data: bytes) -> bool:
-        head = text_head(data, 65_536).decode("utf-8", "replace")
-        rows = [(at, row.strip()) for at, row in enumerate(head.splitlines(), 1) if row.strip()]
-        try:
-            found = header_of(rows)
-        except csv.Error:
-            return False
-        if found is None or len(found[1]) < 2:
-            return False
-        _, header, delimiter, first_row = found
-        if not any(
-            seconds_of(name) or (is_time_name(name) and _is_instant(name)) for name in header
-        ):
-            return False
-        first = next((row for at, row in rows if at > first_row and not row.startswith("#")), "")
-        cells = cells_of(first, delimiter)
-        return delimiter != " " or (len(cells) == len(header) and _are_values(cells, delimiter))
+def _csv_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    table = csv_rows(TextLines.of(path, data))
+    header = [name.lower() for name in table.header]
+    is_long = any(n in header for n in _LONG_NAMES) and any(map(_is_value, header))
+    return (_long(table, header) if is_long else _wide(table),)
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        table = csv_rows(TextLines.of(path, data))
-        header = [name.lower() for name in table.header]
-        is_long = any(n in header for n in _LONG_NAMES) and any(map(_is_value, header))
-        return (_long(table, header) if is_long else _wide(table),)
+
+CSV: Final = Reader("csv", _is_csv, _csv_motions)
+"""Reads both forms; the header decides which."""
 
 
 def _wide(table: CsvRows) -> ForeignMotion:

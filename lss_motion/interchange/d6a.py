@@ -12,10 +12,15 @@ import sqlite3
 from contextlib import closing
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
-
 from lss_motion.errors import InputError
-from lss_motion.interchange.reader import VALUES_MAX, Pose, Unit, motion_name, motion_of_poses
+from lss_motion.interchange.reader import (
+    VALUES_MAX,
+    Pose,
+    Reader,
+    Unit,
+    motion_name,
+    motion_of_poses,
+)
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:
@@ -59,60 +64,60 @@ _SERVO: Final = re.compile(r"servo(\d{1,3})", re.ASCII | re.IGNORECASE)
 Rows = list[tuple[object, ...]]
 
 
-class D6aReader(Struct, frozen=True):
-    """Reads the table `ActionGroup(Index, Time, Servo1, …)`; joints are `ID<n>`."""
+def _is_d6a(data: bytes) -> bool:
+    return data.startswith(SQLITE)
 
-    name: str = "d6a"
 
-    def recognises(self, data: bytes) -> bool:
-        return data.startswith(SQLITE)
-
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        if not self.recognises(data):
-            raise InputError("is not an SQLite file, as .d6a files are", path=path)
-        if len(data) < (size := _size(data)):
-            raise InputError(f"has {len(data)} of its {size} bytes: it was cut off", path=path)
-        try:
-            columns, rows = _read(path, data)
-        except (sqlite3.Error, OverflowError, UnicodeDecodeError, MemoryError) as error:
-            raise InputError(f"cannot be read as SQLite: {error}", path=path) from error
-        ids = [int(match[1]) for name in columns if (match := _SERVO.fullmatch(name))]
-        if not rows:
-            raise InputError(f"table {TABLE} has no row", path=path)
-        positions = [
-            [_whole(path, value, place, PULSE_MAX_US) for value in row[1:]]
-            for place, row in enumerate(rows, start=1)
-        ]
-        is_pulse = any(max(row) > POSITION_MAX for row in positions)
-        if is_pulse and min(map(min, positions)) < PULSE_MIN_US:
-            raise InputError(
-                f"positions above {POSITION_MAX} are pulses in us, but others are below "
-                f"{PULSE_MIN_US} us",
-                path=path,
-            )
-        poses: list[Pose] = []
-        for place, (row, values) in enumerate(zip(rows, positions, strict=True), start=1):
-            duration_s = s_from_ms(_whole(path, row[0], place, DURATION_MAX_MS))
-            poses.append(
-                Pose(
-                    at_s=(poses[-1].at_s if poses else 0.0) + duration_s,
-                    values={
-                        f"ID{servo}": float(v) if is_pulse else (v - ZERO) * DEG_PER_POSITION
-                        for servo, v in zip(ids, values, strict=True)
-                    },
-                    place=f"row {place}",
-                )
-            )
-        scale = "pulses in us" if is_pulse else "1000 positions over 240 deg, 500 = 0 deg"
-        return (
-            motion_of_poses(
-                path,
-                motion_name(path),
-                poses,
-                unit_of=lambda _: Unit.US if is_pulse else Unit.DEG,
-                comments=(f"Imported from {path.name} (Hiwonder action group); {scale}.",),
-            ),
+def _d6a_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    if not _is_d6a(data):
+        raise InputError("is not an SQLite file, as .d6a files are", path=path)
+    if len(data) < (size := _size(data)):
+        raise InputError(f"has {len(data)} of its {size} bytes: it was cut off", path=path)
+    try:
+        columns, rows = _read(path, data)
+    except (sqlite3.Error, OverflowError, UnicodeDecodeError, MemoryError) as error:
+        raise InputError(f"cannot be read as SQLite: {error}", path=path) from error
+    ids = [int(match[1]) for name in columns if (match := _SERVO.fullmatch(name))]
+    if not rows:
+        raise InputError(f"table {TABLE} has no row", path=path)
+    positions = [
+        [_whole(path, value, place, PULSE_MAX_US) for value in row[1:]]
+        for place, row in enumerate(rows, start=1)
+    ]
+    is_pulse = any(max(row) > POSITION_MAX for row in positions)
+    if is_pulse and min(map(min, positions)) < PULSE_MIN_US:
+        raise InputError(
+            f"positions above {POSITION_MAX} are pulses in us, but others are below "
+            f"{PULSE_MIN_US} us",
+            path=path,
         )
+    poses: list[Pose] = []
+    for place, (row, values) in enumerate(zip(rows, positions, strict=True), start=1):
+        duration_s = s_from_ms(_whole(path, row[0], place, DURATION_MAX_MS))
+        poses.append(
+            Pose(
+                at_s=(poses[-1].at_s if poses else 0.0) + duration_s,
+                values={
+                    f"ID{servo}": float(v) if is_pulse else (v - ZERO) * DEG_PER_POSITION
+                    for servo, v in zip(ids, values, strict=True)
+                },
+                place=f"row {place}",
+            )
+        )
+    scale = "pulses in us" if is_pulse else "1000 positions over 240 deg, 500 = 0 deg"
+    return (
+        motion_of_poses(
+            path,
+            motion_name(path),
+            poses,
+            unit_of=lambda _: Unit.US if is_pulse else Unit.DEG,
+            comments=(f"Imported from {path.name} (Hiwonder action group); {scale}.",),
+        ),
+    )
+
+
+D6A: Final = Reader("d6a", _is_d6a, _d6a_motions)
+"""Reads the table `ActionGroup(Index, Time, Servo1, …)`; joints are `ID<n>`."""
 
 
 def _size(data: bytes) -> int:

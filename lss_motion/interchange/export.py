@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.interchange.blender import TENTHS
+from lss_motion.interchange.json_motions import TENTHS
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:

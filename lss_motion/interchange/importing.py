@@ -20,34 +20,24 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
 from lss_motion.files.texts import counted, known_names
-from lss_motion.interchange.audacity import AudacityReader
-from lss_motion.interchange.bitbots import BitBotsReader
-from lss_motion.interchange.blender import BlenderReader
-from lss_motion.interchange.bottango import BottangoReader
-from lss_motion.interchange.bvh import BvhReader
-from lss_motion.interchange.command_text import CONSTANT_SPEED, CommandReader
-from lss_motion.interchange.csv import CsvReader
-from lss_motion.interchange.d6a import D6aReader
-from lss_motion.interchange.hulks import HulksReader
+from lss_motion.interchange.bottango import BOTTANGO
+from lss_motion.interchange.bvh import BVH
+from lss_motion.interchange.command_text import COMMANDS, CONSTANT_SPEED, command_reader
+from lss_motion.interchange.csv import CSV
+from lss_motion.interchange.d6a import D6A
+from lss_motion.interchange.json_motions import BITBOTS, BLENDER, HULKS, PYPOT
+from lss_motion.interchange.label_files import AUDACITY, PAPAGAYO, PRAAT, RHUBARB, XLIGHTS
 from lss_motion.interchange.labels import LabelStyle, label_sequence
-from lss_motion.interchange.lerobot import LeRobotReader
-from lss_motion.interchange.maestro import MaestroReader
+from lss_motion.interchange.lerobot import LEROBOT
 from lss_motion.interchange.mapping import UNWRAP_OFFER, MotionMap, mapped
-from lss_motion.interchange.opencat import OpenCatReader
-from lss_motion.interchange.papagayo import PapagayoReader
-from lss_motion.interchange.poses import PosesReader
-from lss_motion.interchange.praat import PraatReader
-from lss_motion.interchange.pypose import PyPoseReader
-from lss_motion.interchange.pypot import PypotReader
+from lss_motion.interchange.opencat import OPENCAT
+from lss_motion.interchange.poses import POSES
 from lss_motion.interchange.reader import DIGITS, ForeignMotion, LabelTrack, Note, RefusedMotion
 from lss_motion.interchange.recorded import Limits, interpolated
 from lss_motion.interchange.reduce import TOLERANCE_DEG, every_sample, reduced
-from lss_motion.interchange.rhubarb import RhubarbReader
-from lss_motion.interchange.robotis import RobotisPagesReader, RobotisTextReader
-from lss_motion.interchange.ros import RosReader
-from lss_motion.interchange.ssc32_table import Ssc32TableReader
-from lss_motion.interchange.webots import WebotsReader
-from lss_motion.interchange.xlights import XLightsReader
+from lss_motion.interchange.robotis import ROBOTIS_PAGES, ROBOTIS_TEXT
+from lss_motion.interchange.ros import ROS
+from lss_motion.interchange.step_tables import MAESTRO, PYPOSE, SSC32_TABLE, WEBOTS
 from lss_motion.robot.model import Robot
 from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.show.check import joint_problems, jumps
@@ -65,30 +55,30 @@ if TYPE_CHECKING:
 
 
 READERS: Final[tuple[Reader, ...]] = (
-    RhubarbReader(),
-    PapagayoReader(),
-    PraatReader(),
-    XLightsReader(),
-    AudacityReader(),
-    BitBotsReader(),
-    HulksReader(),
-    PypotReader(),
-    BlenderReader(),
-    BottangoReader(),
-    WebotsReader(),
-    BvhReader(),
-    RobotisTextReader(),
-    MaestroReader(),
-    Ssc32TableReader(),
-    PyPoseReader(),
-    RosReader(),
-    CsvReader(),
-    CommandReader(),
-    D6aReader(),
-    LeRobotReader(),
-    OpenCatReader(),
-    PosesReader(),
-    RobotisPagesReader(),
+    RHUBARB,
+    PAPAGAYO,
+    PRAAT,
+    XLIGHTS,
+    AUDACITY,
+    BITBOTS,
+    HULKS,
+    PYPOT,
+    BLENDER,
+    BOTTANGO,
+    WEBOTS,
+    BVH,
+    ROBOTIS_TEXT,
+    MAESTRO,
+    SSC32_TABLE,
+    PYPOSE,
+    ROS,
+    CSV,
+    COMMANDS,
+    D6A,
+    LEROBOT,
+    OPENCAT,
+    POSES,
+    ROBOTIS_PAGES,
 )
 """In the order in which `recognises` is called: readers of special formats before general ones."""
 
@@ -160,11 +150,10 @@ def read_motions(
         raise InputError("is empty; write or copy it again", path=path)
     for reader in READERS:
         if reader.name == format_name or (format_name is None and reader.recognises(data)):
-            if wait_unit is not None and not isinstance(reader, CommandReader):
+            if wait_unit is not None and reader is not COMMANDS:
                 raise InputError("has no waits: --wait-unit is for command text", path=path)
-            if isinstance(reader, CommandReader):
-                reader = replace(reader, wait_unit=wait_unit)  # noqa: PLW2901
-            return tuple(_distinct(reader.motions(path, data)))
+            chosen = reader if wait_unit is None else command_reader(wait_unit)
+            return tuple(_distinct(chosen.motions(path, data)))
     for mark, kind, action in OTHERS:
         if format_name is None and mark in data[:OTHERS_HEAD_BYTES]:
             raise InputError(f"is {kind}, which is not read; {action}", path=path)

@@ -10,13 +10,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from msgspec import Struct
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.files.source import read_data
 from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import JsonFields, parsed_json
-from lss_motion.interchange.reader import FPS_MAX, VALUES_MAX, Channel, Unit, recording, thinned
+from lss_motion.interchange.reader import (
+    FPS_MAX,
+    VALUES_MAX,
+    Channel,
+    Reader,
+    Unit,
+    recording,
+    thinned,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,35 +44,35 @@ ABOVE_MAX: Final = 4
 TIMES: Final = ("timestamp", "frame_index", "episode_index")
 
 
-class LeRobotReader(Struct, frozen=True):
-    """Reads `observation.state` (or `action`) by episode, at the rate of the dataset."""
+def _is_lerobot(data: bytes) -> bool:
+    return data.startswith(MAGIC)
 
-    name: str = "lerobot"
 
-    def recognises(self, data: bytes) -> bool:
-        return data.startswith(MAGIC)
+def _lerobot_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    if data.startswith(MAGIC) and not data.endswith(MAGIC):
+        raise InputError("does not end as a parquet file: it was cut off", path=path)
+    column, values, times = _table(path, data)
+    info = _info(path)
+    fps = _fps(path, info)
+    names = _names(path, info, column, values.shape[1])
+    about = [f"Imported from {path.name} (LeRobot dataset, {column})."]
+    if info is None:
+        about.append("Without meta/info.json the joints have no names, only numbers.")
+    episodes = times.get("episode_index", np.zeros(len(values)))
+    motions: list[ForeignMotion] = []
+    for episode in np.unique(episodes).tolist():
+        rows = np.flatnonzero(episodes == episode)
+        times_s = _times_s(path, times, rows, fps)
+        channels: list[Channel] = []
+        for index, name in enumerate(names):
+            own_s, own = thinned(times_s, values[rows, index])
+            channels.append(Channel(name=name, unit=Unit.RAW, times_s=own_s, values=own))
+        motions.append(recording(path, f"episode {episode:g}", channels, comments=about))
+    return tuple(motions)
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        if data.startswith(MAGIC) and not data.endswith(MAGIC):
-            raise InputError("does not end as a parquet file: it was cut off", path=path)
-        column, values, times = _table(path, data)
-        info = _info(path)
-        fps = _fps(path, info)
-        names = _names(path, info, column, values.shape[1])
-        about = [f"Imported from {path.name} (LeRobot dataset, {column})."]
-        if info is None:
-            about.append("Without meta/info.json the joints have no names, only numbers.")
-        episodes = times.get("episode_index", np.zeros(len(values)))
-        motions: list[ForeignMotion] = []
-        for episode in np.unique(episodes).tolist():
-            rows = np.flatnonzero(episodes == episode)
-            times_s = _times_s(path, times, rows, fps)
-            channels: list[Channel] = []
-            for index, name in enumerate(names):
-                own_s, own = thinned(times_s, values[rows, index])
-                channels.append(Channel(name=name, unit=Unit.RAW, times_s=own_s, values=own))
-            motions.append(recording(path, f"episode {episode:g}", channels, comments=about))
-        return tuple(motions)
+
+LEROBOT: Final = Reader("lerobot", _is_lerobot, _lerobot_motions)
+"""Reads `observation.state` (or `action`) by episode, at the rate of the dataset."""
 
 
 def _table(path: Path, data: bytes) -> tuple[str, FloatArray, dict[str, FloatArray]]:

@@ -22,6 +22,7 @@ from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     VALUES_MAX,
     Pose,
+    Reader,
     motion_of_poses,
     read_or_refused,
     summarised,
@@ -76,35 +77,35 @@ _CUT: Final = re.compile(
 )
 
 
-class OpenCatReader(Struct, frozen=True):
-    """Reads `const int8_t name[] PROGMEM = {…};` or bare `{…}`: one motion per array.
+def _is_opencat(data: bytes) -> bool:
+    return _START.search(text_head(data, 65_536)) is not None
 
-    The joints are `J<n>`.
-    """
 
-    name: str = "opencat"
+def _opencat_motions(path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+    lines = TextLines.of(path, data)
+    text = _COMMENT.sub(lambda match: "\n" * match[0].count("\n"), lines.text)
+    found: list[ForeignMotion | RefusedMotion] = []
+    line, end = 1, 0
+    for number, match in enumerate(_ARRAY.finditer(text), start=1):
+        line += text.count("\n", end, match.start())
+        end = match.start()
+        name = match[1] or f"skill {number}"
+        read = partial(_motion, lines, line, name, match[2])
+        found.append(read_or_refused(name, read))
+    if cut := _CUT.search(text, end):
+        line += text.count("\n", end, cut.start())
+        refuse = partial(lines.refuse, line, "this array has no end: the file was cut off")
+        found.append(read_or_refused(cut[1], refuse))
+    if not found:
+        lines.refuse(None, "has no array of numbers, `const int8_t name[] = {…};`")
+    return tuple(found)
 
-    def recognises(self, data: bytes) -> bool:
-        return _START.search(text_head(data, 65_536)) is not None
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
-        lines = TextLines.of(path, data)
-        text = _COMMENT.sub(lambda match: "\n" * match[0].count("\n"), lines.text)
-        found: list[ForeignMotion | RefusedMotion] = []
-        line, end = 1, 0
-        for number, match in enumerate(_ARRAY.finditer(text), start=1):
-            line += text.count("\n", end, match.start())
-            end = match.start()
-            name = match[1] or f"skill {number}"
-            read = partial(_motion, lines, line, name, match[2])
-            found.append(read_or_refused(name, read))
-        if cut := _CUT.search(text, end):
-            line += text.count("\n", end, cut.start())
-            refuse = partial(lines.refuse, line, "this array has no end: the file was cut off")
-            found.append(read_or_refused(cut[1], refuse))
-        if not found:
-            lines.refuse(None, "has no array of numbers, `const int8_t name[] = {…};`")
-        return tuple(found)
+OPENCAT: Final = Reader("opencat", _is_opencat, _opencat_motions)
+"""Reads `const int8_t name[] PROGMEM = {…};` or bare `{…}`: one motion per array.
+
+The joints are `J<n>`.
+"""
 
 
 class _Skill(Struct, frozen=True):

@@ -17,7 +17,6 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
@@ -42,6 +41,7 @@ from lss_motion.interchange.reader import (
     FPS_MAX,
     VALUES_MAX,
     Pose,
+    Reader,
     Unit,
     motion_label,
     motion_name,
@@ -83,35 +83,35 @@ VALUES: Final = {
 _JSON_ROW: Final = re.compile(rb"\[\s*(\{|\[\s*[-+\d])")
 
 
-class PosesReader(Struct, frozen=True):
-    """Reads `[{"deg": {joint: angle}, "duration_s": …}]`, `[[…], […]]` and rows of angles."""
-
-    name: str = "poses"
-
-    def recognises(self, data: bytes) -> bool:
-        head = text_head(data, 65_536)
-        if starts_json(data, b"["):
-            return _JSON_ROW.match(head.lstrip()) is not None
-        if starts_json(data, b"{"):
-            return b'"poses"' in data or b'"frames"' in data
-        rows = [
-            (at, row.strip())
-            for at, row in enumerate(head.decode("utf-8", "replace").splitlines(), 1)
-            if row.strip()
-        ]
-        try:
-            found = header_of(rows)
-            if found is None:
-                return False
-            _, header, mark, first_row = found
-            under = [row for at, row in rows if at > first_row and not row.startswith("#")]
-            return len(under) > 0 and all(_is_pose(header, mark, row) for row in under[:2])
-        except csv.Error:
+def _is_poses(data: bytes) -> bool:
+    head = text_head(data, 65_536)
+    if starts_json(data, b"["):
+        return _JSON_ROW.match(head.lstrip()) is not None
+    if starts_json(data, b"{"):
+        return b'"poses"' in data or b'"frames"' in data
+    rows = [
+        (at, row.strip())
+        for at, row in enumerate(head.decode("utf-8", "replace").splitlines(), 1)
+        if row.strip()
+    ]
+    try:
+        found = header_of(rows)
+        if found is None:
             return False
+        _, header, mark, first_row = found
+        under = [row for at, row in rows if at > first_row and not row.startswith("#")]
+        return len(under) > 0 and all(_is_pose(header, mark, row) for row in under[:2])
+    except csv.Error:
+        return False
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        is_json = starts_json(data, b"[") or starts_json(data, b"{")
-        return (_from_json(path, data) if is_json else _from_rows(TextLines.of(path, data)),)
+
+def _poses_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    is_json = starts_json(data, b"[") or starts_json(data, b"{")
+    return (_from_json(path, data) if is_json else _from_rows(TextLines.of(path, data)),)
+
+
+POSES: Final = Reader("poses", _is_poses, _poses_motions)
+"""Reads `[{"deg": {joint: angle}, "duration_s": …}]`, `[[…], […]]` and rows of angles."""
 
 
 def _is_pose(header: list[str], mark: str, row: str) -> bool:

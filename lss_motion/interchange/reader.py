@@ -10,7 +10,7 @@ import math
 import re
 from collections import defaultdict
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -205,27 +205,19 @@ class LabelTrack(Struct, frozen=True, kw_only=True):
         assert all(span.from_s <= span.to_s < math.inf for span in self.spans), self.name
 
 
-class Reader(Protocol):
+class Reader(Struct, frozen=True):
     """A reader of one format. It never executes content of a file."""
 
-    @property
-    def name(self) -> str:
-        """Name of the format, for `--from`."""
-        ...
+    name: str
+    """Name of the format, for `--from`."""
+    recognises: Callable[[bytes], bool]
+    """Returns whether the content looks like this format."""
+    motions: Callable[[Path, bytes], tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]]
+    """Returns the motions, or tracks of labels, in the content, one or more, in the file's order.
 
-    def recognises(self, data: bytes) -> bool:
-        """Return whether the content looks like this format."""
-        ...
-
-    def motions(
-        self, path: Path, data: bytes
-    ) -> tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]:
-        """Return the motions, or tracks of labels, in `data`, one or more, in the file's order.
-
-        Raises `InputError` and nothing else. `path` is used only in its text; `lerobot` looks for
-        the description of the dataset in the folders above it.
-        """
-        ...
+    Raises `InputError` and nothing else. The path is used only in its text; `lerobot` looks for the
+    description of the dataset in the folders above it.
+    """
 
 
 def motion_label(name: object) -> str:

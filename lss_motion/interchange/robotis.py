@@ -24,7 +24,7 @@ from msgspec import Struct
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted
 from lss_motion.interchange.fields import TextLines, text_head
-from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused, summarised
+from lss_motion.interchange.reader import Pose, Reader, motion_of_poses, read_or_refused, summarised
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -115,28 +115,28 @@ class _TextPage:
         return self.name or f"page {self.number}"
 
 
-class RobotisTextReader(Struct, frozen=True):
-    """Reads `type=motion` … `page_begin` … `step=` … `page_end`; joints are `ID<n>`."""
+def _is_robotis_text(data: bytes) -> bool:
+    head = text_head(data, 4096).lstrip()
+    return head.startswith(b"type=motion") or (b"page_begin" in head and b"=" in head)
 
-    name: str = "mtn"
 
-    def recognises(self, data: bytes) -> bool:
-        head = text_head(data, 4096).lstrip()
-        return head.startswith(b"type=motion") or (b"page_begin" in head and b"=" in head)
+def _robotis_text_motions(path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+    data, tail = _without_tail(data)
+    lines = TextLines.of(path, data)
+    enabled, pages, outside = _parsed(lines)
+    outside += tail
+    found = [
+        read_or_refused(page.title, partial(_text_motion, lines, page, enabled, outside))
+        for page in pages
+        if page.steps
+    ]
+    if not found:
+        lines.refuse(None, "has no page with a step")
+    return tuple(found)
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
-        data, tail = _without_tail(data)
-        lines = TextLines.of(path, data)
-        enabled, pages, outside = _parsed(lines)
-        outside += tail
-        found = [
-            read_or_refused(page.title, partial(_text_motion, lines, page, enabled, outside))
-            for page in pages
-            if page.steps
-        ]
-        if not found:
-            lines.refuse(None, "has no page with a step")
-        return tuple(found)
+
+ROBOTIS_TEXT: Final = Reader("mtn", _is_robotis_text, _robotis_text_motions)
+"""Reads `type=motion` … `page_begin` … `step=` … `page_end`; joints are `ID<n>`."""
 
 
 def _without_tail(data: bytes) -> tuple[bytes, list[str]]:
@@ -315,35 +315,34 @@ class _BinaryPage(Struct, frozen=True):
         ]  # fmt: skip
 
 
-class RobotisPagesReader(Struct, frozen=True):
-    """Reads up to 256 pages: one motion per page with steps; joints are `ID<n>`."""
+def _is_robotis_pages(data: bytes) -> bool:
+    if len(data) < PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
+        return False
+    pages = _pages(data[: len(data) - len(data) % PAGE_BYTES])  # The last one may be cut.
+    # Page 0 is often not written. A text file does not have the right sums by chance.
+    return b"\0" in data and sum(page.is_whole for page in pages) * 2 > len(pages)
 
-    name: str = "robotis-bin"
 
-    def recognises(self, data: bytes) -> bool:
-        if len(data) < PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
-            return False
-        pages = _pages(data[: len(data) - len(data) % PAGE_BYTES])  # The last one may be cut.
-        # Page 0 is often not written. A text file does not have the right sums by chance.
-        return b"\0" in data and sum(page.is_whole for page in pages) * 2 > len(pages)
-
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
-        if not data or len(data) % PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
-            raise InputError(
-                f"{len(data)} bytes are not 1 to {PAGES_MAX} pages of {PAGE_BYTES}: cut short, or "
-                "another format",
-                path=path,
-            )
-        pages = [page for page in _pages(data) if page.is_whole and page.data[20]]
-        broken = [page.number for page in _pages(data) if not page.is_whole and any(page.data)]
-        if not pages:
-            raise InputError("has no page with steps and a right checksum", path=path)
-        unused = _unused(pages)
-        scale = _Scale(_is_fine(pages, unused), unused, broken)
-        return tuple(
-            read_or_refused(page.title, partial(_binary_motion, path, page, scale))
-            for page in pages
+def _robotis_pages_motions(path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+    if not data or len(data) % PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
+        raise InputError(
+            f"{len(data)} bytes are not 1 to {PAGES_MAX} pages of {PAGE_BYTES}: cut short, or "
+            "another format",
+            path=path,
         )
+    pages = [page for page in _pages(data) if page.is_whole and page.data[20]]
+    broken = [page.number for page in _pages(data) if not page.is_whole and any(page.data)]
+    if not pages:
+        raise InputError("has no page with steps and a right checksum", path=path)
+    unused = _unused(pages)
+    scale = _Scale(_is_fine(pages, unused), unused, broken)
+    return tuple(
+        read_or_refused(page.title, partial(_binary_motion, path, page, scale)) for page in pages
+    )
+
+
+ROBOTIS_PAGES: Final = Reader("robotis-bin", _is_robotis_pages, _robotis_pages_motions)
+"""Reads up to 256 pages: one motion per page with steps; joints are `ID<n>`."""
 
 
 class _Scale(Struct, frozen=True):

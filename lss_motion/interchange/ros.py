@@ -28,6 +28,7 @@ from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
 from lss_motion.interchange.fields import NUMBER_MAX, VALUE_MAX
 from lss_motion.interchange.reader import (
     Pose,
+    Reader,
     is_dense,
     motion_of_poses,
     read_or_refused,
@@ -158,43 +159,43 @@ _STATE: Final = re.compile(rb"^name:.{0,20000}?^position:", re.DOTALL | re.MULTI
 """A message of joint states, after its header."""
 
 
-class RosReader(Struct, frozen=True):
-    """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`.
+def _is_ros(data: bytes) -> bool:
+    if b"joint_names" in data and b"points" in data:
+        return True
+    if b"goal_names" in data and b"joints" in data:
+        return True
+    if _STATE.search(data) is not None:
+        return True
+    has_times = b"time_from_start" in data or b"times_from_start" in data
+    return b"motions" in data and b"joints" in data and has_times
 
-    It also reads the parameters of a publisher of goals: `{goal_names, wait_sec_between_publish,
-    joints}`, and the goals under their names.
-    """
 
-    name: str = "ros"
+def _ros_motions(path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+    file = _RosFile(path)
+    trees = yaml_trees(text_of(data, path), path)
+    first = next(trees)
+    if isinstance(first.value, dict) and {"name", "position"} <= first.value.keys():
+        return (file.states(path.stem, chain([first], trees)),)
+    top = file.unwrapped(first)
+    if "joint_names" in top:
+        return (file.motion(path.stem, top, top["joint_names"]),)
+    if "goal_names" in top:
+        return (file.goals(path.stem, top),)
+    listed = file.mapping(top["motions"], "motions")
+    if not listed:
+        file.refuse(top["motions"], "'motions' holds no motion")
+    return tuple(
+        read_or_refused(name, partial(file.listed_motion, name, node))
+        for name, node in listed.items()
+    )
 
-    def recognises(self, data: bytes) -> bool:
-        if b"joint_names" in data and b"points" in data:
-            return True
-        if b"goal_names" in data and b"joints" in data:
-            return True
-        if _STATE.search(data) is not None:
-            return True
-        has_times = b"time_from_start" in data or b"times_from_start" in data
-        return b"motions" in data and b"joints" in data and has_times
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
-        file = _RosFile(path)
-        trees = yaml_trees(text_of(data, path), path)
-        first = next(trees)
-        if isinstance(first.value, dict) and {"name", "position"} <= first.value.keys():
-            return (file.states(path.stem, chain([first], trees)),)
-        top = file.unwrapped(first)
-        if "joint_names" in top:
-            return (file.motion(path.stem, top, top["joint_names"]),)
-        if "goal_names" in top:
-            return (file.goals(path.stem, top),)
-        listed = file.mapping(top["motions"], "motions")
-        if not listed:
-            file.refuse(top["motions"], "'motions' holds no motion")
-        return tuple(
-            read_or_refused(name, partial(file.listed_motion, name, node))
-            for name, node in listed.items()
-        )
+ROS: Final = Reader("ros", _is_ros, _ros_motions)
+"""Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`.
+
+It also reads the parameters of a publisher of goals: `{goal_names, wait_sec_between_publish,
+joints}`, and the goals under their names.
+"""
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.keys import NAME_PATTERN
 from lss_motion.interchange import read_motion
-from lss_motion.interchange.bitbots import BitBotsReader
+from lss_motion.interchange.json_motions import BITBOTS
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
@@ -193,7 +193,7 @@ def test_odd_values_in_the_right_places_do_no_worse_than_an_input_error(
 @given(nearly() | values)
 def test_a_motion_file_is_read_or_refused_whatever_it_holds(content: object) -> None:
     try:
-        motion = BitBotsReader().read(Path("any.json"), json.dumps(content).encode())
+        motion = BITBOTS.motions(Path("any.json"), json.dumps(content).encode())[0]
     except InputError:
         return
     assert motion.keyframes

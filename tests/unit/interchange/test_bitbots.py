@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.interchange.bitbots import BitBotsReader
+from lss_motion.interchange.json_motions import BITBOTS
 from lss_motion.interchange.reader import LABEL_MAX_CHARS
 
 if TYPE_CHECKING:
@@ -30,12 +30,12 @@ def nod() -> dict[str, Any]:
 
 
 def read(content: object) -> ForeignMotion:
-    return BitBotsReader().read(PATH, json.dumps(content).encode())
+    return BITBOTS.motions(PATH, json.dumps(content).encode())[0]
 
 
 def refusal(data: bytes) -> InputError:
     with pytest.raises(InputError) as caught:
-        BitBotsReader().read(PATH, data)
+        BITBOTS.motions(PATH, data)
     assert caught.value.path == PATH
     return caught.value
 
@@ -71,11 +71,11 @@ def test_labels_are_made_printable_and_short() -> None:
 
 def test_a_byte_order_mark_is_ignored() -> None:
     marked = b"\xef\xbb\xbf" + json.dumps(nod()).encode()
-    assert BitBotsReader().read(PATH, marked).keyframes == read(nod()).keyframes
+    assert BITBOTS.motions(PATH, marked)[0].keyframes == read(nod()).keyframes
 
 
 def test_the_content_decides_what_is_recognised() -> None:
-    reader = BitBotsReader()
+    reader = BITBOTS
     assert reader.recognises(json.dumps(nod()).encode())
     assert reader.recognises(b"\xef\xbb\xbf \n" + json.dumps(nod()).encode())
     assert not reader.recognises(b'{"positions": []}')

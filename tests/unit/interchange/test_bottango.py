@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from lss_motion.interchange.bottango import BottangoReader
+from lss_motion.interchange.bottango import BOTTANGO
 from lss_motion.interchange.reader import Unit
 
 EASED = "sC,10,1000,2000,0,500,0,8192,-500,0"
@@ -29,7 +29,7 @@ def controller(*commands: str, name: str = "head", setup: str = "") -> dict[str,
 
 
 def test_a_curve_runs_between_the_signals_of_its_effector(read_one) -> None:
-    motion = read_one(BottangoReader(), json.dumps([controller(EASED, STRAIGHT)]))
+    motion = read_one(BOTTANGO, json.dumps([controller(EASED, STRAIGHT)]))
     (servo,) = motion.channels
     assert (motion.name, servo.name, servo.unit) == ("nod", "10", Unit.US)
     assert motion.is_recording
@@ -46,7 +46,7 @@ def test_a_curve_runs_between_the_signals_of_its_effector(read_one) -> None:
 
 def test_between_curves_an_effector_keeps_its_signal(read_one) -> None:
     later = "sC,10,5000,100,8192,0,0,0,0,0"
-    (servo,) = read_one(BottangoReader(), json.dumps([controller(EASED, later)])).channels
+    (servo,) = read_one(BOTTANGO, json.dumps([controller(EASED, later)])).channels
     still = (servo.times_s >= 3.0) & (servo.times_s <= 5.0)
     assert np.ptp(servo.values[still]) == 0.0
     assert servo.times_s[still].tolist() == [3.0, 4.99, 5.0]
@@ -55,7 +55,7 @@ def test_between_curves_an_effector_keeps_its_signal(read_one) -> None:
 def test_a_group_of_curves_stands_in_one_line(read_one) -> None:
     setup = "rSVI2C,64,2,2000,1000,3000,1500\n"
     group = "sSY,sC,10,0,100,0,25,0,8192,-25,0;642,0,100,0,25,0,8192,-25,0;"
-    motion = read_one(BottangoReader(), json.dumps([controller(group, setup=setup)]))
+    motion = read_one(BOTTANGO, json.dumps([controller(group, setup=setup)]))
     first, second = motion.channels
     assert (first.name, second.name) == ("10", "642")
     assert first.values[-1] == 2000.0
@@ -64,14 +64,14 @@ def test_a_group_of_curves_stands_in_one_line(read_one) -> None:
 
 def test_effectors_of_several_controllers_have_different_names(read_one) -> None:
     content = [controller(EASED), controller(EASED, name="arm")]
-    motion = read_one(BottangoReader(), json.dumps(content))
+    motion = read_one(BOTTANGO, json.dumps(content))
     assert [channel.name for channel in motion.channels] == ["head/10", "arm/10"]
 
 
 def test_commands_without_motion_are_listed_in_comments(read_one) -> None:
     content = controller(EASED, "sCT,myMedia,0,0", "sCC,3,0,1")
     content["Animations"][0]["Animation Loop Commands"] = EASED
-    comments = read_one(BottangoReader(), json.dumps([content])).comments
+    comments = read_one(BOTTANGO, json.dumps([content])).comments
     assert "Not carried over: commands sCT" in comments
     assert "Not carried over: commands sCC" in comments
     assert any("Animation Loop Commands" in comment for comment in comments)
@@ -91,12 +91,12 @@ def test_commands_without_motion_are_listed_in_comments(read_one) -> None:
     ],
 )
 def test_a_wrong_curve_is_refused_with_its_place(refusal, command: str, reason: str) -> None:
-    assert reason in refusal(BottangoReader(), json.dumps([controller(command)])).reason
+    assert reason in refusal(BOTTANGO, json.dumps([controller(command)])).reason
 
 
 def test_a_curve_of_hours_has_at_most_500_samples(read_one) -> None:
     curves = ["sC,10,0,80000000,0,40000000,0,8192,-40000000,0"]
-    (servo,) = read_one(BottangoReader(), json.dumps([controller(*curves)])).channels
+    (servo,) = read_one(BOTTANGO, json.dumps([controller(*curves)])).channels
     assert len(servo.times_s) < 600
     assert servo.times_s[-1] == 80_000.0
     assert np.interp(40_000.0, servo.times_s, servo.values) == pytest.approx(1500.0, abs=0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.interchange.bvh import BvhReader
+from lss_motion.interchange.bvh import BVH
 from lss_motion.interchange.reader import Unit
 from lss_motion.show.load import load_sequence
 
@@ -47,7 +47,7 @@ def turned(axis: str, angle_deg: float) -> np.ndarray:
 
 
 def test_the_angles_are_those_of_the_file_at_the_instants_of_its_frames(read_one):
-    motion = read_one(BvhReader(), bvh((10, 20, -30), (11, 21, -31), (12, 22, -32)))
+    motion = read_one(BVH, bvh((10, 20, -30), (11, 21, -31), (12, 22, -32)))
     found = {channel.name: channel for channel in motion.channels}
     assert found["Head.Zrotation"].values.tolist() == [10, 11, 12]
     assert found["Head.Yrotation"].values.tolist() == [-30, -31, -32]
@@ -61,7 +61,7 @@ def test_the_angles_are_those_of_the_file_at_the_instants_of_its_frames(read_one
 def test_a_turn_about_one_axis_is_the_nearest_turn_about_it(read_one):
     """The judge looks for the nearest turn in steps of 0.01 deg, by matrices."""
     heads = [(10, 20, -30), (-75, 40, 60), (0, 0, 35), (150, 10, 5)]
-    motion = read_one(BvhReader(), bvh(*heads))
+    motion = read_one(BVH, bvh(*heads))
     found = {channel.name: channel.values for channel in motion.channels}
     steps_deg = np.arange(-180.0, 180.0, 0.01)
     for frame, (z, x, y) in enumerate(heads):
@@ -77,7 +77,7 @@ def test_a_turn_about_one_axis_is_the_nearest_turn_about_it(read_one):
 
 def test_a_turn_through_180_degrees_has_no_jump(read_one):
     heads = [(0, 0, angle if angle <= 180 else angle - 360) for angle in range(0, 400, 10)]
-    motion = read_one(BvhReader(), bvh(*heads))
+    motion = read_one(BVH, bvh(*heads))
     found = {channel.name: channel.values for channel in motion.channels}
     for name in ("Head.Yrotation", "Head.y"):
         assert found[name] == pytest.approx(np.arange(0, 400, 10))
@@ -99,7 +99,7 @@ def test_a_turn_through_180_degrees_has_no_jump(read_one):
     ],
 )
 def test_what_is_wrong_stands_at_its_line(refusal, content, line, said):
-    error = refusal(BvhReader(), content)
+    error = refusal(BVH, content)
     assert said in str(error)
     assert error.line == line
 

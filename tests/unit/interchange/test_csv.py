@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.interchange.csv import CsvReader
+from lss_motion.interchange.csv import CSV
 from lss_motion.interchange.importing import read_motions
 from lss_motion.interchange.mapping import mapped
 from lss_motion.interchange.reader import ForeignMotion, Unit
@@ -14,7 +14,7 @@ WIDE = "time_s,base_deg,elbow_rad,jaw_us,lift\n0,1,0.5,1500,7\n0.5,2,,1600,8\n1,
 
 
 def test_the_ending_of_a_column_is_its_unit(read_one) -> None:
-    motion = read_one(CsvReader(), WIDE)
+    motion = read_one(CSV, WIDE)
     units = {channel.name: channel.unit for channel in motion.channels}
     assert units == {"base": Unit.DEG, "elbow": Unit.RAD, "jaw": Unit.US, "lift": Unit.DEG}
     assert motion.channels[1].times_s.tolist() == [0.0, 1.0]
@@ -34,13 +34,13 @@ def test_the_ending_of_a_column_is_its_unit(read_one) -> None:
     ],
 )
 def test_separators_line_ends_marks_and_frames_give_the_same_motion(read_one, data: bytes) -> None:
-    (base,) = read_one(CsvReader(), data).channels
+    (base,) = read_one(CSV, data).channels
     assert (base.times_s.tolist(), base.values.tolist()) == ([0.0, 0.5], [1.5, 2.0])
 
 
 def test_a_long_table_has_a_row_for_each_key_in_any_order(read_one) -> None:
     text = "time_s,servo,deg,ease,who\n1,a,10,linear,x\n0,a,5,,x\n1,b,3,,x\n0,a,5,,x\n"
-    motion = read_one(CsvReader(), text)
+    motion = read_one(CSV, text)
     a, b = motion.channels
     assert (a.times_s.tolist(), a.values.tolist()) == ([0.0, 1.0], [5.0, 10.0])
     assert b.times_s.tolist() == [1.0]
@@ -50,7 +50,7 @@ def test_a_long_table_has_a_row_for_each_key_in_any_order(read_one) -> None:
 
 def test_a_dense_table_is_a_recording(read_one) -> None:
     rows = "".join(f"{n / 50},{n}\n" for n in range(100))
-    assert read_one(CsvReader(), "t_s,base\n" + rows).is_recording
+    assert read_one(CSV, "t_s,base\n" + rows).is_recording
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_a_dense_table_is_a_recording(read_one) -> None:
     ],
 )
 def test_a_wrong_row_is_refused_with_its_line(refusal, text, line, reason) -> None:
-    error = refusal(CsvReader(), text)
+    error = refusal(CSV, text)
     assert (error.line, reason in error.reason) == (line, True), error
 
 
@@ -95,11 +95,11 @@ def test_a_wrong_row_is_refused_with_its_line(refusal, text, line, reason) -> No
     ],
 )
 def test_another_encoding_is_refused(refusal, data: bytes, reason: str) -> None:
-    assert reason in refusal(CsvReader(), data).reason
+    assert reason in refusal(CSV, data).reason
 
 
 def test_leading_blanks_change_nothing(read_one) -> None:
-    motion = read_one(CsvReader(), "\n  # made by hand\n  # fps: 25\n   frame,a_deg\n  0,1\n 1,2\n")
+    motion = read_one(CSV, "\n  # made by hand\n  # fps: 25\n   frame,a_deg\n  0,1\n 1,2\n")
     assert motion.channels[0].times_s.tolist() == [0.0, 0.04]
 
 
@@ -127,8 +127,8 @@ def test_the_time_is_known_by_the_names_that_programs_give_it(
     read_one, header: str, first: str, second: str
 ) -> None:
     text = f"{header}\n{first}\n{second}\n"
-    assert CsvReader().recognises(text.encode())
-    (a,) = read_one(CsvReader(), text).channels
+    assert CSV.recognises(text.encode())
+    (a,) = read_one(CSV, text).channels
     assert (a.name, a.unit, a.values.tolist()) == ("a", Unit.DEG, [1.0, 2.0])
     assert a.times_s[1] - a.times_s[0] == pytest.approx(0.05, abs=1e-6)
 
@@ -138,13 +138,13 @@ def test_the_time_is_known_by_the_names_that_programs_give_it(
     ["a (rad)", "a [rad]", "a_rad", "a {radians}", "a rad", "a/rad", "aRad", "a (RAD)", "a_Rad"],
 )
 def test_radians_are_radians_however_they_are_written(read_one, column: str) -> None:
-    (a,) = read_one(CsvReader(), f"t,{column}\n0,1\n").channels
+    (a,) = read_one(CSV, f"t,{column}\n0,1\n").channels
     assert (a.name, a.unit) == ("a", Unit.RAD)
 
 
 @pytest.mark.parametrize("name", ["head_turn", "left_s", "position[0]", "arm.pos", "second_finger"])
 def test_a_name_that_only_looks_like_a_unit_is_a_joint(read_one, name: str) -> None:
-    (a,) = read_one(CsvReader(), f"t,{name}\n0,1\n").channels
+    (a,) = read_one(CSV, f"t,{name}\n0,1\n").channels
     assert (a.name, a.unit) == (name, Unit.DEG)
 
 
@@ -164,17 +164,17 @@ def test_a_name_that_only_looks_like_a_unit_is_a_joint(read_one, name: str) -> N
     ],
 )
 def test_a_unit_or_a_time_that_is_not_understood_is_refused(refusal, text, reason) -> None:
-    assert CsvReader().recognises(text.encode())
-    assert reason in refusal(CsvReader(), text).reason
+    assert CSV.recognises(text.encode())
+    assert reason in refusal(CSV, text).reason
 
 
 def test_the_values_of_a_long_table_may_have_their_unit_in_brackets(read_one) -> None:
-    (a,) = read_one(CsvReader(), "time (s),joint,position (rad)\n0,a,0.5\n1,a,1\n").channels
+    (a,) = read_one(CSV, "time (s),joint,position (rad)\n0,a,0.5\n1,a,1\n").channels
     assert (a.name, a.unit, a.values.tolist()) == ("a", Unit.RAD, [0.5, 1.0])
 
 
 def test_a_comment_below_the_header_changes_nothing(read_one) -> None:
-    (a,) = read_one(CsvReader(), "time a\n# two rows\n0 1\n1 2\n").channels
+    (a,) = read_one(CSV, "time a\n# two rows\n0 1\n1 2\n").channels
     assert a.values.tolist() == [1.0, 2.0]
 
 
@@ -192,5 +192,5 @@ def test_a_table_of_two_seconds_is_two_seconds_long(tmp_path, arm, header: str) 
 
 def test_the_time_of_a_plain_echo_of_ros_1_is_in_nanoseconds(read_one) -> None:
     text = "%time,a_rad\n1700000000000000000,1\n1700000000500000000,2\n"
-    (a,) = read_one(CsvReader(), text).channels
+    (a,) = read_one(CSV, text).channels
     assert a.times_s[1] - a.times_s[0] == pytest.approx(0.5)

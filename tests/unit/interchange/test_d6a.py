@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from lss_motion.interchange.d6a import D6aReader
+from lss_motion.interchange.d6a import D6A
 from lss_motion.interchange.reader import Unit
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def group(columns: str = COLUMNS, rows=ROWS, table: str = "ActionGroup") -> byte
 
 
 def test_rows_follow_each_other_by_their_index(read_one) -> None:
-    one, two = read_one(D6aReader(), group()).channels
+    one, two = read_one(D6A, group()).channels
     assert (one.name, two.name, one.unit) == ("ID1", "ID2", Unit.DEG)
     assert one.times_s.tolist() == [1.0, 1.25]
     assert one.values.tolist() == [0.0, -120.0]
@@ -38,7 +38,7 @@ def test_rows_follow_each_other_by_their_index(read_one) -> None:
 
 
 def test_pulses_of_rc_servos_stay_pulses(read_one) -> None:
-    motion = read_one(D6aReader(), group(rows=[(1, 500, 1500, 500), (2, 500, 2500, 1000)]))
+    motion = read_one(D6A, group(rows=[(1, 500, 1500, 500), (2, 500, 2500, 1000)]))
     assert motion.channels[0].unit is Unit.US
     assert motion.channels[0].values.tolist() == [1500.0, 2500.0]
 
@@ -54,7 +54,7 @@ def test_a_file_of_the_sqlite3_program_is_read(tmp_path: Path, read_one, journal
         "INSERT INTO ActionGroup(Time, Servo1, Servo2) VALUES(400, 250, 750);"
     )
     subprocess.run(["sqlite3", str(path), script], check=True, capture_output=True)
-    motion = read_one(D6aReader(), path.read_bytes())
+    motion = read_one(D6A, path.read_bytes())
     assert motion.channels[0].times_s.tolist() == pytest.approx([0.8, 1.2])
     assert motion.channels[0].values.tolist() == [0.0, -60.0]
 
@@ -75,7 +75,7 @@ def test_a_file_of_the_sqlite3_program_is_read(tmp_path: Path, read_one, journal
     ],
 )
 def test_what_is_no_action_group_is_refused(refusal, data: bytes, reason: str) -> None:
-    assert reason in refusal(D6aReader(), data).reason
+    assert reason in refusal(D6A, data).reason
 
 
 def test_a_view_is_not_run(refusal) -> None:
@@ -86,4 +86,4 @@ def test_a_view_is_not_run(refusal) -> None:
             "FROM n) SELECT i AS 'Index', 500 AS Time, 1 AS Servo1 FROM n"
         )
         data = base.serialize()
-    assert "has no table ActionGroup" in refusal(D6aReader(), data).reason
+    assert "has no table ActionGroup" in refusal(D6A, data).reason

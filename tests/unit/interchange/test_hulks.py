@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from lss_motion.interchange.hulks import HulksReader
+from lss_motion.interchange.json_motions import HULKS
 from lss_motion.interchange.reader import Unit
 
-HULKS = {
+SAMPLE = {
     "initial_positions": {"head": {"yaw": 0.0}, "left_arm": {"hand": 0.0}},
     "motion": [
         {
@@ -25,7 +25,7 @@ HULKS = {
 
 
 def test_hulks_keyframes_follow_each_other_from_the_initial_positions(read_one) -> None:
-    motion = read_one(HulksReader(), json.dumps(HULKS))
+    motion = read_one(HULKS, json.dumps(SAMPLE))
     yaw, hand = motion.channels
     assert (yaw.name, yaw.unit) == ("head.yaw", Unit.RAD)
     assert yaw.times_s.tolist() == [0.0, 0.5, 1.5, 1.75]
@@ -46,21 +46,21 @@ def test_hulks_keyframes_follow_each_other_from_the_initial_positions(read_one) 
     ],
 )
 def test_a_wrong_hulks_keyframe_is_refused_with_its_place(refusal, change, reason) -> None:
-    content = json.loads(json.dumps(HULKS))
+    content = json.loads(json.dumps(SAMPLE))
     change(content["motion"][0]["keyframes"][1])
-    assert reason in refusal(HulksReader(), json.dumps(content)).reason
+    assert reason in refusal(HULKS, json.dumps(content)).reason
 
 
 def test_initial_positions_may_stand_beside_stiffnesses(read_one) -> None:
-    content = json.loads(json.dumps(HULKS))
-    plain = read_one(HulksReader(), json.dumps(content))
+    content = json.loads(json.dumps(SAMPLE))
+    plain = read_one(HULKS, json.dumps(content))
     content["initial_positions"] = {
         "positions": content["initial_positions"],
         "stiffnesses": {"head": {"yaw": 0.8}},
     }
     content["interpolation_mode"] = "Linear"
     content["motion"][0]["interpolation_mode"] = "Spline"
-    motion = read_one(HulksReader(), json.dumps(content))
+    motion = read_one(HULKS, json.dumps(content))
     for own, other in zip(motion.channels, plain.channels, strict=True):
         assert own.name == other.name
         assert own.values.tolist() == other.values.tolist()
@@ -71,8 +71,8 @@ def test_initial_positions_may_stand_beside_stiffnesses(read_one) -> None:
 
 def test_keyframes_of_jumps_have_stiffnesses_beside_their_positions(read_one) -> None:
     """Nested as `jump_left.json` of the team, with stiffnesses once more among the groups."""
-    plain = read_one(HulksReader(), json.dumps(HULKS))
-    content = json.loads(json.dumps(HULKS))
+    plain = read_one(HULKS, json.dumps(SAMPLE))
+    content = json.loads(json.dumps(SAMPLE))
     stiffnesses = {"head": {"yaw": 0.9}}
     start = {**content["initial_positions"], "stiffnesses": stiffnesses}
     content["initial_positions"] = {"positions": start, "stiffnesses": stiffnesses}
@@ -80,7 +80,7 @@ def test_keyframes_of_jumps_have_stiffnesses_beside_their_positions(read_one) ->
         for keyframe in part["keyframes"]:
             positions = keyframe["positions"]
             keyframe["positions"] = {"positions": positions, "stiffnesses": stiffnesses}
-    motion = read_one(HulksReader(), json.dumps(content))
+    motion = read_one(HULKS, json.dumps(content))
     assert [channel.name for channel in motion.channels] == ["head.yaw", "left_arm.hand"]
     for own, other in zip(motion.channels, plain.channels, strict=True):
         assert own.times_s.tolist() == other.times_s.tolist()
@@ -93,17 +93,17 @@ def test_keyframes_of_jumps_have_stiffnesses_beside_their_positions(read_one) ->
 
 
 def test_a_condition_among_the_frames_is_listed(read_one) -> None:
-    frames = [*HULKS["motion"][0]["keyframes"]]
+    frames = [*SAMPLE["motion"][0]["keyframes"]]
     frames.insert(1, {"StabilizedCondition": {"tolerance": 0.1, "timeout_duration": 5.0}})
-    content = {"initial_positions": HULKS["initial_positions"], "frames": frames}
-    motion = read_one(HulksReader(), json.dumps(content))
+    content = {"initial_positions": SAMPLE["initial_positions"], "frames": frames}
+    motion = read_one(HULKS, json.dumps(content))
     assert motion.channels[0].times_s.tolist() == [0.0, 0.5, 1.5]
     assert "Not carried over: StabilizedCondition" in motion.comments
 
 
 def test_older_files_have_one_list_of_frames(read_one) -> None:
-    frames = HULKS["motion"][0]["keyframes"]
-    content = {"initial_positions": HULKS["initial_positions"], "frames": frames}
-    motion = read_one(HulksReader(), json.dumps(content))
+    frames = SAMPLE["motion"][0]["keyframes"]
+    content = {"initial_positions": SAMPLE["initial_positions"], "frames": frames}
+    motion = read_one(HULKS, json.dumps(content))
     assert motion.channels[0].times_s.tolist() == [0.0, 0.5, 1.5]
     assert not any("Not carried over" in text for text in motion.comments)

@@ -13,8 +13,7 @@ import lss_motion as lss
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.interchange import READERS, LabelStyle, LabelTrack, imported
-from lss_motion.interchange.labels import label_sequence
-from lss_motion.interchange.mouth_shapes import shape_reader
+from lss_motion.interchange.labels import label_sequence, shape_reader
 from lss_motion.interchange.reader import Span
 
 ROBOT = {

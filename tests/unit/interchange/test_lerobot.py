@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import InputError, install_command
-from lss_motion.interchange.lerobot import LeRobotReader
+from lss_motion.interchange.lerobot import LEROBOT
 from lss_motion.interchange.reader import Unit
 
 pa = pytest.importorskip("pyarrow")
@@ -48,8 +48,8 @@ def dataset(tmp_path: Path) -> Path:
 
 def test_episodes_have_the_rate_and_the_names_of_the_dataset(dataset: Path) -> None:
     data = dataset.read_bytes()
-    assert LeRobotReader().recognises(data)
-    first, second = LeRobotReader().motions(dataset, data)
+    assert LEROBOT.recognises(data)
+    first, second = LEROBOT.motions(dataset, data)
     assert (first.name, second.name, first.is_recording) == ("episode 0", "episode 1", True)
     pan, gripper = first.channels
     assert (pan.name, gripper.name, pan.unit) == ("shoulder_pan", "gripper", Unit.RAW)
@@ -68,7 +68,7 @@ def test_episodes_have_the_rate_and_the_names_of_the_dataset(dataset: Path) -> N
 )
 def test_without_a_description_joints_have_numbers_and_times_are_timestamps(state) -> None:
     data = parquet(**{"observation.state": state})
-    first, _ = LeRobotReader().motions(Path("x.parquet"), data)
+    first, _ = LEROBOT.motions(Path("x.parquet"), data)
     assert [channel.name for channel in first.channels] == ["state_0"]
     assert first.channels[0].times_s.tolist() == pytest.approx([0.0, 0.033333, 0.066667])
 
@@ -88,13 +88,13 @@ def test_without_a_description_joints_have_numbers_and_times_are_timestamps(stat
     ],
 )
 def test_what_is_no_dataset_is_refused(refusal, changes, reason) -> None:
-    assert reason in refusal(LeRobotReader(), parquet(**changes)).reason
+    assert reason in refusal(LEROBOT, parquet(**changes)).reason
 
 
 def test_a_file_that_was_cut_off_is_recognised_and_called_so(refusal) -> None:
     data = parquet()[:-40]
-    assert LeRobotReader().recognises(data)
-    assert refusal(LeRobotReader(), data).reason.endswith("it was cut off")
+    assert LEROBOT.recognises(data)
+    assert refusal(LEROBOT, data).reason.endswith("it was cut off")
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_names_of_public_datasets(dataset: Path, names, expected) -> None:
     info = {**INFO, "features": {"observation.state": {"names": names}}}
     (dataset.parents[2] / "meta" / "info.json").write_text(json.dumps(info), encoding="utf-8")
     data = parquet(**{"observation.state": [[1.0, 2.0, 3.0]] * 5})
-    motion, _ = LeRobotReader().motions(dataset, data)
+    motion, _ = LEROBOT.motions(dataset, data)
     assert [channel.name for channel in motion.channels] == expected
     assert [channel.values[0] for channel in motion.channels] == [1.0, 2.0, 3.0]
 
@@ -119,7 +119,7 @@ def test_names_of_public_datasets(dataset: Path, names, expected) -> None:
 def test_names_for_other_joints_are_refused(dataset: Path) -> None:
     dataset.write_bytes(parquet(**{"observation.state": [[1.0]] * 5}))
     with pytest.raises(InputError, match="names 2 joints, but"):
-        LeRobotReader().motions(dataset, dataset.read_bytes())
+        LEROBOT.motions(dataset, dataset.read_bytes())
 
 
 def test_without_pyarrow_the_message_tells_what_to_install(monkeypatch, refusal) -> None:
@@ -132,4 +132,4 @@ def test_without_pyarrow_the_message_tells_what_to_install(monkeypatch, refusal)
         return found(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    assert install_command("lerobot") in refusal(LeRobotReader(), data).reason
+    assert install_command("lerobot") in refusal(LEROBOT, data).reason

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.interchange.maestro import MaestroReader
 from lss_motion.interchange.reader import ForeignMotion, Unit
+from lss_motion.interchange.step_tables import MAESTRO
 
-MAESTRO = """\
+SAMPLE = """\
 <!--Pololu Maestro servo controller settings file-->
 <UscSettings version="1">
   <Channels>
@@ -31,7 +31,7 @@ MAESTRO = """\
 
 
 def test_maestro_targets_are_quarters_of_microseconds_reached_at_the_end_of_a_frame() -> None:
-    look, rest = MaestroReader().motions(Path("m"), MAESTRO.encode())
+    look, rest = MAESTRO.motions(Path("m"), SAMPLE.encode())
     assert isinstance(look, ForeignMotion)
     pan, second = look.channels
     assert (look.name, rest.name) == ("look", "rest")
@@ -53,10 +53,10 @@ def test_maestro_targets_are_quarters_of_microseconds_reached_at_the_end_of_a_fr
     ],
 )
 def test_wrong_maestro_xml_is_refused_with_its_line(refusal, old, new, line, reason) -> None:
-    error = refusal(MaestroReader(), MAESTRO.replace(old, new, 1))
+    error = refusal(MAESTRO, SAMPLE.replace(old, new, 1))
     assert (error.line, reason in error.reason) == (line, True), error
 
 
 def test_a_maestro_script_is_not_read(refusal) -> None:
-    text = MAESTRO[: MAESTRO.index("  <Sequences>")] + "</UscSettings>\n"
-    assert "scripts are programs" in refusal(MaestroReader(), text).reason
+    text = SAMPLE[: SAMPLE.index("  <Sequences>")] + "</UscSettings>\n"
+    assert "scripts are programs" in refusal(MAESTRO, text).reason

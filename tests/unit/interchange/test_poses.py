@@ -7,7 +7,7 @@ import json
 import pytest
 
 from lss_motion.interchange import READERS
-from lss_motion.interchange.poses import STEP_S, PosesReader
+from lss_motion.interchange.poses import POSES, STEP_S
 from lss_motion.interchange.reader import Unit
 
 
@@ -23,7 +23,7 @@ def test_objects_with_durations_and_pauses(read_one) -> None:
         {"name": "up", "deg": {"a": 10}, "duration_s": 0.5, "hold_ms": 250},
         {"a": 20, "b_rad": 1.5, "duration_ms": 1000, "colour": "red"},
     ]
-    motion = read_one(PosesReader(), json.dumps(content))
+    motion = read_one(POSES, json.dumps(content))
     assert keys(motion) == {"a": [(0.5, 10.0), (1.75, 20.0)], "b": [(1.75, 1.5)]}
     assert [channel.unit for channel in motion.channels] == [Unit.DEG, Unit.RAD]
     assert (motion.notes[0.5].label, motion.notes[0.5].hold_s) == ("up", 0.25)
@@ -45,7 +45,7 @@ def test_objects_with_durations_and_pauses(read_one) -> None:
     ],
 )
 def test_forms_of_json(read_one, content, expected) -> None:
-    assert keys(read_one(PosesReader(), json.dumps(content))) == expected
+    assert keys(read_one(POSES, json.dumps(content))) == expected
 
 
 @pytest.mark.parametrize(
@@ -62,19 +62,19 @@ def test_forms_of_json(read_one, content, expected) -> None:
     ],
 )
 def test_rows_of_angles(read_one, text, expected) -> None:
-    motion = read_one(PosesReader(), text)
+    motion = read_one(POSES, text)
     assert keys(motion) == expected
     assert next(reader for reader in READERS if reader.recognises(text.encode())).name == "poses"
 
 
 def test_the_column_of_names_becomes_labels(read_one) -> None:
-    motion = read_one(PosesReader(), "name;a;duration_s\nup;1,5;1\ndown;2;0,5\n")
+    motion = read_one(POSES, "name;a;duration_s\nup;1,5;1\ndown;2;0,5\n")
     assert [note.label for note in motion.notes.values()] == ["up", "down"]
     assert keys(motion) == {"a": [(1, 1.5), (1.5, 2)]}
 
 
 def test_poses_without_times_are_named_as_such(read_one) -> None:
-    comments = read_one(PosesReader(), "1,2\n3,4\n").comments
+    comments = read_one(POSES, "1,2\n3,4\n").comments
     assert f"The poses have no times: {STEP_S:g} s each." in comments
 
 
@@ -94,16 +94,16 @@ def test_poses_without_times_are_named_as_such(read_one) -> None:
     ],
 )
 def test_a_wrong_pose_is_refused_with_its_place(refusal, content, reason) -> None:
-    assert reason in refusal(PosesReader(), json.dumps(content)).reason
+    assert reason in refusal(POSES, json.dumps(content)).reason
 
 
 def test_a_wrong_row_is_refused_with_its_line(refusal) -> None:
-    error = refusal(PosesReader(), "a,b\n1,2\n3,x\n")
+    error = refusal(POSES, "a,b\n1,2\n3,x\n")
     assert (error.line, error.reason) == (3, "'x' is not a number")
 
 
 def test_a_header_in_a_comment_and_units_in_brackets_are_read(read_one) -> None:
-    motion = read_one(PosesReader(), "# a (rad) duration (ms)\n0.0 500\n1.0 500\n")
+    motion = read_one(POSES, "# a (rad) duration (ms)\n0.0 500\n1.0 500\n")
     (a,) = motion.channels
     assert (a.name, a.unit, a.times_s.tolist()) == ("a", Unit.RAD, [0.5, 1.0])
 
@@ -118,4 +118,4 @@ def test_a_header_in_a_comment_and_units_in_brackets_are_read(read_one) -> None:
     ],
 )
 def test_a_time_or_a_unit_that_is_not_understood_is_no_angle(refusal, text, reason) -> None:
-    assert reason in refusal(PosesReader(), text).reason
+    assert reason in refusal(POSES, text).reason

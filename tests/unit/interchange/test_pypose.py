@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.interchange.pypose import PyPoseReader
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
+from lss_motion.interchange.step_tables import PYPOSE
 
-PYPOSE = """\
+SAMPLE = """\
 droid:2
 Pose=up: 512, 612
 Pose=down: 512, 412
@@ -19,7 +19,7 @@ Seq=once: down|100
 
 
 def test_pypose_sequences_play_their_poses() -> None:
-    nod, once = PyPoseReader().motions(Path("m"), PYPOSE.encode())
+    nod, once = PYPOSE.motions(Path("m"), SAMPLE.encode())
     assert isinstance(nod, ForeignMotion)
     still, moved = nod.channels
     assert (nod.name, once.name, still.name, moved.name) == ("nod", "once", "ID1", "ID2")
@@ -30,7 +30,7 @@ def test_pypose_sequences_play_their_poses() -> None:
 
 def test_pypose_resolutions_may_differ_from_servo_to_servo(read_one) -> None:
     text = "droid:2:1024,4096\nPose=a: 512, 3072\nSeq=s: a|250\n"
-    motion = read_one(PyPoseReader(), text)
+    motion = read_one(PYPOSE, text)
     assert [channel.values.tolist() for channel in motion.channels] == [[0.0], [90.0]]
 
 
@@ -45,12 +45,12 @@ def test_pypose_resolutions_may_differ_from_servo_to_servo(read_one) -> None:
     ],
 )
 def test_a_wrong_pypose_line_is_refused_with_its_number(refusal, old, new, line, reason) -> None:
-    error = refusal(PyPoseReader(), PYPOSE.replace(old, new))
+    error = refusal(PYPOSE, SAMPLE.replace(old, new))
     assert (error.line, reason in error.reason) == (line, True), error
 
 
 def test_a_pypose_sequence_of_unknown_poses_is_refused_alone() -> None:
-    bad, good = PyPoseReader().motions(Path("m"), PYPOSE.replace("nod: up", "nod: op").encode())
+    bad, good = PYPOSE.motions(Path("m"), SAMPLE.replace("nod: up", "nod: op").encode())
     assert isinstance(bad, RefusedMotion)
     assert "step 1 names pose 'op', which does not exist" in bad.error.reason
     assert isinstance(good, ForeignMotion)
@@ -58,4 +58,4 @@ def test_a_pypose_sequence_of_unknown_poses_is_refused_alone() -> None:
 
 def test_blank_lines_and_blanks_at_the_start_change_nothing(read_one) -> None:
     text = "\n\n  droid:1\n\n  Pose=a: 512\n  Seq=s: a|250\n"
-    assert read_one(PyPoseReader(), text).channels[0].values.tolist() == [0.0]
+    assert read_one(PYPOSE, text).channels[0].values.tolist() == [0.0]

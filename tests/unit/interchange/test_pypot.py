@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from lss_motion.interchange.pypot import PypotReader
+from lss_motion.interchange.json_motions import PYPOT
 from lss_motion.interchange.reader import Unit
 
 
 def test_pypot_samples_are_sorted_by_their_real_times(read_one) -> None:
     positions = {"1.5": {"neck": [3.0, 0.0]}, "0.5": {"neck": [1.0, 9.0]}, "10": {"neck": [2, 0]}}
-    motion = read_one(PypotReader(), json.dumps({"framerate": 50.0, "positions": positions}))
+    motion = read_one(PYPOT, json.dumps({"framerate": 50.0, "positions": positions}))
     (neck,) = motion.channels
     assert neck.times_s.tolist() == [0.5, 1.5, 10.0]
     assert neck.values.tolist() == [1.0, 3.0, 2.0]
@@ -24,7 +24,7 @@ def test_pypot_samples_are_sorted_by_their_real_times(read_one) -> None:
 
 def test_dense_pypot_samples_are_a_recording(read_one) -> None:
     positions = {str(index / 50): {"neck": [index, 0.0]} for index in range(100)}
-    motion = read_one(PypotReader(), json.dumps({"framerate": 50.0, "positions": positions}))
+    motion = read_one(PYPOT, json.dumps({"framerate": 50.0, "positions": positions}))
     assert motion.is_recording
     assert len(motion.channels[0].times_s) == 100
 
@@ -44,7 +44,7 @@ def test_dense_pypot_samples_are_a_recording(read_one) -> None:
 )
 def test_wrong_pypot_positions_are_refused_with_their_place(refusal, positions, reason) -> None:
     content = json.dumps({"framerate": 50.0, "positions": positions})
-    assert reason in refusal(PypotReader(), content).reason
+    assert reason in refusal(PYPOT, content).reason
 
 
 @pytest.mark.slow
@@ -52,6 +52,6 @@ def test_ten_megabytes_of_samples_are_read(read_one) -> None:
     motors = ",".join(f'"joint_{n}":[12.34,0.0]' for n in range(20))
     rows = ",".join(f'"{index / 100}":{{{motors}}}' for index in range(20_000))
     text = f'{{"framerate":100,"positions":{{{rows}}}}}'
-    motion = read_one(PypotReader(), text)
+    motion = read_one(PYPOT, text)
     assert [len(channel.times_s) for channel in motion.channels] == [20_000] * 20
     np.testing.assert_array_equal(motion.channels[0].values, 12.34)

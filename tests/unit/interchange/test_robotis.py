@@ -12,9 +12,9 @@ from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
 from lss_motion.interchange.robotis import (
     NOT_KEYED,
     PAGE_BYTES,
+    ROBOTIS_PAGES,
+    ROBOTIS_TEXT,
     TORQUE_OFF,
-    RobotisPagesReader,
-    RobotisTextReader,
 )
 
 
@@ -33,7 +33,7 @@ def step(one: int, two: int, pause_s: float = 0.0, play_s: float = 1.0) -> str:
 
 
 def test_mtn_times_are_divided_by_the_speed_and_pages_repeat(read_one) -> None:
-    motion = read_one(RobotisTextReader(), mtn(step(512, 0) + step(768, 1023, 0.5, 0.5)))
+    motion = read_one(ROBOTIS_TEXT, mtn(step(512, 0) + step(768, 1023, 0.5, 0.5)))
     first, second = motion.channels
     assert (motion.name, first.name, second.name) == ("Bow", "ID1", "ID2")
     assert first.times_s.tolist() == [0.5, 0.75, 1.5, 1.75]
@@ -45,7 +45,7 @@ def test_mtn_times_are_divided_by_the_speed_and_pages_repeat(read_one) -> None:
 
 def test_the_other_text_pages_are_read_if_one_is_wrong() -> None:
     text = mtn(step(512, 512)) + mtn(step(512, 512, 0.0, 0.0)).partition("type=motion\n")[2]
-    good, bad = RobotisTextReader().motions(Path("m"), text.encode())
+    good, bad = ROBOTIS_TEXT.motions(Path("m"), text.encode())
     assert isinstance(good, ForeignMotion)
     assert isinstance(bad, RefusedMotion)
     assert "takes 0 s" in bad.error.reason
@@ -67,12 +67,12 @@ def test_the_other_text_pages_are_read_if_one_is_wrong() -> None:
     ],
 )
 def test_a_wrong_mtn_line_is_refused_with_its_number(refusal, text, line, reason) -> None:
-    error = refusal(RobotisTextReader(), text)
+    error = refusal(ROBOTIS_TEXT, text)
     assert (error.line, reason in error.reason) == (line, True), error
 
 
 def test_a_position_beyond_the_servo_is_refused() -> None:
-    (bad,) = RobotisTextReader().motions(Path("m"), mtn(step(1024, 0)).encode())
+    (bad,) = ROBOTIS_TEXT.motions(Path("m"), mtn(step(1024, 0)).encode())
     assert isinstance(bad, RefusedMotion)
     assert "position 1024 of servo 1: 0 to 1023" in bad.error.reason
 
@@ -101,8 +101,8 @@ def page(
 
 def test_times_are_in_128ths_of_a_second_by_speed_and_pages_repeat() -> None:
     data = page(({1: 2048}, 0, 64), ({1: 3072}, 32, 64), speed=64, repeat=2, following=7)
-    assert RobotisPagesReader().recognises(data)
-    (motion,) = RobotisPagesReader().motions(PATH, data)
+    assert ROBOTIS_PAGES.recognises(data)
+    (motion,) = ROBOTIS_PAGES.motions(PATH, data)
     assert isinstance(motion, ForeignMotion)
     (joint,) = motion.channels
     assert (motion.name, joint.name) == ("bow", "ID1")
@@ -115,7 +115,7 @@ def test_times_are_in_128ths_of_a_second_by_speed_and_pages_repeat() -> None:
 def test_positions_that_are_not_set_limp_or_invalid_are_left_out() -> None:
     first = {1: 2048, 2: NOT_KEYED | 100, 3: 1024, 4: 40192, 5: 0, 6: 2048}
     second = {1: 1024, 2: 3072, 3: TORQUE_OFF | 1024, 4: 0, 5: 0, 6: 40192}
-    (motion,) = RobotisPagesReader().motions(PATH, page((first, 0, 64), (second, 0, 64)))
+    (motion,) = ROBOTIS_PAGES.motions(PATH, page((first, 0, 64), (second, 0, 64)))
     assert isinstance(motion, ForeignMotion)
     keys = {channel.name: channel.values.tolist() for channel in motion.channels}
     assert keys == {"ID1": [0.0, -90.0], "ID2": [90.0], "ID3": [-90.0], "ID6": [0.0]}
@@ -127,7 +127,7 @@ def test_positions_that_are_not_set_limp_or_invalid_are_left_out() -> None:
 
 
 def test_files_with_1024_positions_are_recognised() -> None:
-    (coarse,) = RobotisPagesReader().motions(PATH, page(({1: 512}, 0, 64), ({1: 768}, 0, 64)))
+    (coarse,) = ROBOTIS_PAGES.motions(PATH, page(({1: 512}, 0, 64), ({1: 768}, 0, 64)))
     assert isinstance(coarse, ForeignMotion)
     assert coarse.channels[0].values.tolist() == [0.0, 75.0]
     assert "1024 positions over 300 deg" in coarse.comments[0]
@@ -143,7 +143,7 @@ def test_the_other_pages_are_read_if_one_is_wrong() -> None:
         page(({1: 2048}, 0, 64), count=9),
         page(({1: NOT_KEYED}, 0, 64), name=b""),
     ]
-    first, *refused = RobotisPagesReader().motions(PATH, b"".join(pages))
+    first, *refused = ROBOTIS_PAGES.motions(PATH, b"".join(pages))
     assert isinstance(first, ForeignMotion)
     reasons = [motion.error.reason for motion in refused if isinstance(motion, RefusedMotion)]
     assert len(reasons) == 5
@@ -159,7 +159,7 @@ def test_a_page_with_a_wrong_checksum_is_listed_and_not_read() -> None:
     broken = bytearray(page(({1: 2048}, 0, 64)))
     broken[100] ^= 1
     data = page(({1: 2048}, 0, 64)) * 2 + bytes(broken)
-    first, second = RobotisPagesReader().motions(PATH, data)
+    first, second = ROBOTIS_PAGES.motions(PATH, data)
     assert isinstance(first, ForeignMotion)
     assert isinstance(second, ForeignMotion)
     assert "Not carried over: pages 2: wrong checksum" in first.comments
@@ -175,23 +175,23 @@ def test_a_page_with_a_wrong_checksum_is_listed_and_not_read() -> None:
     ],
 )
 def test_another_kind_of_file_is_refused(data: bytes, reason: str) -> None:
-    assert not RobotisPagesReader().recognises(data)
+    assert not ROBOTIS_PAGES.recognises(data)
     with pytest.raises(InputError, match=reason):
-        RobotisPagesReader().motions(PATH, data)
+        ROBOTIS_PAGES.motions(PATH, data)
 
 
 def test_a_file_whose_last_page_is_cut_says_so() -> None:
     data = (page(({1: 2048}, 0, 64)) * 3)[:-100]
-    assert RobotisPagesReader().recognises(data)
+    assert ROBOTIS_PAGES.recognises(data)
     with pytest.raises(InputError, match="1436 bytes are not 1 to 256 pages of 512: cut short"):
-        RobotisPagesReader().motions(PATH, data)
+        ROBOTIS_PAGES.motions(PATH, data)
 
 
 def test_mtn_numbers_may_have_decimal_commas(read_one) -> None:
     text = mtn(step(512, 0) + step(768, 1023, 0.5, 0.5))
-    plain = read_one(RobotisTextReader(), text)
+    plain = read_one(ROBOTIS_TEXT, text)
     commas = text.replace("1.01", "1,01").replace("0.5", "0,5").replace("2.0", "2,0")
-    motion = read_one(RobotisTextReader(), commas)
+    motion = read_one(ROBOTIS_TEXT, commas)
     assert motion.channels[0].times_s.tolist() == plain.channels[0].times_s.tolist()
     assert motion.notes[0.75].hold_s == 0.25
 
@@ -203,7 +203,7 @@ def test_garbage_after_the_last_page_is_listed_and_left_out(read_one, tail: byte
     text = mtn(step(512, 0) + step(768, 1023, 0.5, 0.5)).rstrip().encode()
     if tail.startswith(b"page_end"):
         text = text.removesuffix(b"page_end")
-    motion = read_one(RobotisTextReader(), text + tail)
+    motion = read_one(ROBOTIS_TEXT, text + tail)
     assert motion.channels[0].times_s.tolist() == [0.5, 0.75, 1.5, 1.75]
     listed = any("after the last page" in comment for comment in motion.comments)
     assert listed is (tail.strip() != b"\x1a")
@@ -211,6 +211,6 @@ def test_garbage_after_the_last_page_is_listed_and_left_out(read_one, tail: byte
 
 def test_lines_outside_of_the_pages_are_listed(read_one) -> None:
     text = mtn(step(512, 0)).replace("page_end\npage_begin", "page_end zz\nwhat=1\npage_begin")
-    comments = read_one(RobotisTextReader(), text).comments
+    comments = read_one(ROBOTIS_TEXT, text).comments
     assert "Not carried over: line 8, after page_end: 'zz'" in comments
     assert "Not carried over: line 9, outside of the pages: 'what=1'" in comments

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion, Unit
-from lss_motion.interchange.ros import NODES_MAX, RosReader
+from lss_motion.interchange.ros import NODES_MAX, ROS
 
 MESSAGE = """\
 joint_names: [a, b]
@@ -38,7 +38,7 @@ COLLECTION = """\
 
 
 def test_a_message_has_times_in_seconds_and_nanoseconds(read_one) -> None:
-    motion = read_one(RosReader(), MESSAGE)
+    motion = read_one(ROS, MESSAGE)
     a, b = motion.channels
     assert (a.name, a.unit, a.times_s.tolist()) == ("a", Unit.RAD, [0.0, 1.5])
     assert b.values.tolist() == [1.0, -1.0]
@@ -49,16 +49,16 @@ def test_a_message_has_times_in_seconds_and_nanoseconds(read_one) -> None:
 @pytest.mark.parametrize("key", ["trajectory", "joint_trajectory", "goal"])
 def test_a_message_may_be_inside_the_keys_of_an_action(read_one, key: str) -> None:
     inside = "".join(f"  {line}\n" for line in MESSAGE.splitlines())
-    wrapped = read_one(RosReader(), f"header: {{stamp: 0}}\n{key}:\n{inside}")
+    wrapped = read_one(ROS, f"header: {{stamp: 0}}\n{key}:\n{inside}")
     assert [c.values.tolist() for c in wrapped.channels] == [[0.0, 0.5], [1.0, -1.0]]
 
 
 def test_only_the_first_message_of_an_echo_is_read(read_one) -> None:
-    assert len(read_one(RosReader(), MESSAGE + "---\n" + MESSAGE).channels[0].times_s) == 2
+    assert len(read_one(ROS, MESSAGE + "---\n" + MESSAGE).channels[0].times_s) == 2
 
 
 def test_a_collection_gives_its_motions_and_the_errors_of_wrong_ones(tmp_path) -> None:
-    wave, broken, nothing = RosReader().motions(tmp_path, COLLECTION.encode())
+    wave, broken, nothing = ROS.motions(tmp_path, COLLECTION.encode())
     assert isinstance(wave, ForeignMotion)
     assert [(c.name, c.unit) for c in wave.channels] == [
         ("a", Unit.RAD),
@@ -94,7 +94,7 @@ def test_a_collection_gives_its_motions_and_the_errors_of_wrong_ones(tmp_path) -
     ],
 )
 def test_a_wrong_message_is_refused_with_its_line(refusal, old, new, line, reason) -> None:
-    error = refusal(RosReader(), MESSAGE.replace(old, new, 1))
+    error = refusal(ROS, MESSAGE.replace(old, new, 1))
     assert (error.line, reason in error.reason) == (line, True), error
 
 
@@ -102,13 +102,13 @@ def test_the_content_of_aliases_is_bounded(refusal) -> None:
     text = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
     for level in range(1, 9):
         text += f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10)}]\n"
-    assert f"more than {NODES_MAX:,}" in refusal(RosReader(), text + MESSAGE).reason
+    assert f"more than {NODES_MAX:,}" in refusal(ROS, text + MESSAGE).reason
 
 
 def test_a_file_without_a_motion_is_refused(refusal) -> None:
-    assert "'joint_names' and 'points', or 'motions'" in refusal(RosReader(), "a: 1\n").reason
-    assert "is empty" in refusal(RosReader(), "# nothing\n").reason
-    assert "'motions' holds no motion" in refusal(RosReader(), "motions: {}\n").reason
+    assert "'joint_names' and 'points', or 'motions'" in refusal(ROS, "a: 1\n").reason
+    assert "is empty" in refusal(ROS, "# nothing\n").reason
+    assert "'motions' holds no motion" in refusal(ROS, "motions: {}\n").reason
 
 
 PUBLISHER = """\
@@ -128,7 +128,7 @@ publisher_joint_trajectory_controller:
 
 
 def test_the_goals_of_a_publisher_are_poses_at_the_times_at_which_it_sends_them(read_one) -> None:
-    motion = read_one(RosReader(), PUBLISHER)
+    motion = read_one(ROS, PUBLISHER)
     first, second, third = motion.keyframes
     assert [k.at_s for k in motion.keyframes] == [4.0, 8.5, 16.0]
     assert [k.hold_s for k in motion.keyframes] == [2.0, 3.5, 2.0]
@@ -148,7 +148,7 @@ def test_the_goals_of_a_publisher_are_poses_at_the_times_at_which_it_sends_them(
     ],
 )
 def test_goals_that_do_not_fit_are_refused_with_their_line(refusal, old, new, line, reason) -> None:
-    error = refusal(RosReader(), PUBLISHER.replace(old, new))
+    error = refusal(ROS, PUBLISHER.replace(old, new))
     assert re.search(reason, error.reason)
     assert error.line in (line, line + 1)
 
@@ -156,12 +156,12 @@ def test_goals_that_do_not_fit_are_refused_with_their_line(refusal, old, new, li
 @pytest.mark.parametrize("time", ["[1, 500000000]", "{secs: 1, nsecs: 500000000}", "1.5"])
 def test_a_time_has_the_forms_of_both_generations(read_one, time: str) -> None:
     text = MESSAGE.replace("{sec: 1, nanosec: 500000000}", time)
-    assert read_one(RosReader(), text).channels[0].times_s.tolist() == [0.0, 1.5]
+    assert read_one(ROS, text).channels[0].times_s.tolist() == [0.0, 1.5]
 
 
 def test_a_time_of_a_list_of_three_is_refused(refusal) -> None:
     text = MESSAGE.replace("{sec: 1, nanosec: 500000000}", "[1, 2, 3]")
-    assert "must be [seconds, nanoseconds]" in refusal(RosReader(), text).reason
+    assert "must be [seconds, nanoseconds]" in refusal(ROS, text).reason
 
 
 def test_an_echo_of_joint_states_is_a_recording(read_one, refusal) -> None:
@@ -171,10 +171,10 @@ def test_an_echo_of_joint_states_is_a_recording(read_one, refusal) -> None:
         "effort: []\n---\n"
         for n in range(40)
     )
-    motion = read_one(RosReader(), text)
+    motion = read_one(ROS, text)
     a, b = motion.channels
     assert motion.is_recording
     assert (a.name, a.unit, len(a.values)) == ("a", Unit.RAD, 40)
     assert a.times_s[39] - a.times_s[0] == pytest.approx(1.95, abs=1e-6)
     assert set(b.values.tolist()) == {0.5}
-    assert "'header'" in refusal(RosReader(), text.replace("header:", "top:")).reason
+    assert "'header'" in refusal(ROS, text.replace("header:", "top:")).reason

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.interchange.reader import Unit
-from lss_motion.interchange.webots import WebotsReader
+from lss_motion.interchange.step_tables import WEBOTS
 
-WEBOTS = """\
+SAMPLE = """\
 #WEBOTS_MOTION,V1.0,ArmL,ArmR,Lift
 00:00:000,Rest,-0.5,0.2,0
 00:01:500,Up,*,0.4,*
@@ -16,7 +16,7 @@ WEBOTS = """\
 
 
 def test_a_webots_star_sets_no_key(read_one) -> None:
-    motion = read_one(WebotsReader(), WEBOTS)
+    motion = read_one(WEBOTS, SAMPLE)
     left, right, lift = motion.channels
     assert left.times_s.tolist() == [0.0, 60.0]
     assert right.times_s.tolist() == [0.0, 1.5, 60.0]
@@ -26,13 +26,13 @@ def test_a_webots_star_sets_no_key(read_one) -> None:
 
 
 def test_line_ends_and_a_byte_order_mark_change_nothing(read_one) -> None:
-    plain = read_one(WebotsReader(), WEBOTS)
+    plain = read_one(WEBOTS, SAMPLE)
     for content in (
-        b"\xef\xbb\xbf" + WEBOTS.encode(),
-        WEBOTS.replace("\n", "\r\n").encode(),
-        WEBOTS.replace("\n", "\r").encode(),
+        b"\xef\xbb\xbf" + SAMPLE.encode(),
+        SAMPLE.replace("\n", "\r\n").encode(),
+        SAMPLE.replace("\n", "\r").encode(),
     ):
-        other = read_one(WebotsReader(), content)
+        other = read_one(WEBOTS, content)
         assert [c.values.tolist() for c in other.channels] == [
             c.values.tolist() for c in plain.channels
         ]
@@ -51,7 +51,7 @@ def test_line_ends_and_a_byte_order_mark_change_nothing(read_one) -> None:
     ],
 )
 def test_a_wrong_webots_line_is_refused_with_its_number(refusal, old, new, line, reason) -> None:
-    error = refusal(WebotsReader(), WEBOTS.replace(old, new))
+    error = refusal(WEBOTS, SAMPLE.replace(old, new))
     assert (error.line, reason in error.reason) == (line, True), error
 
 
@@ -65,7 +65,7 @@ def test_a_wrong_webots_line_is_refused_with_its_number(refusal, old, new, line,
     ],
 )
 def test_names_may_have_a_line_of_their_own_and_durations_are_summed(read_one, text, times_s):
-    motion = read_one(WebotsReader(), text)
+    motion = read_one(WEBOTS, text)
     assert [channel.name for channel in motion.channels] == ["ArmL", "ArmR"]
     assert motion.channels[1].values.tolist() == [2.0, 4.0]
     assert motion.channels[0].times_s.tolist() == times_s
@@ -75,7 +75,7 @@ def test_names_may_have_a_line_of_their_own_and_durations_are_summed(read_one, t
 
 def test_minutes_and_seconds_of_an_instant_may_be_absent(read_one) -> None:
     text = "#WEBOTS_MOTION,V1.0,ArmL\n0,Rest,0\n500,Up,1\n1:250,Up,2\n1:2:3,Rest,0\n"
-    motion = read_one(WebotsReader(), text)
+    motion = read_one(WEBOTS, text)
     assert motion.channels[0].times_s.tolist() == [0.0, 0.5, 1.25, 62.003]
     assert not any("assumed" in comment for comment in motion.comments)
 
@@ -91,5 +91,5 @@ def test_minutes_and_seconds_of_an_instant_may_be_absent(read_one) -> None:
     ],
 )
 def test_a_refusal_names_the_variants_that_are_read(refusal, text, line) -> None:
-    error = refusal(WebotsReader(), text)
+    error = refusal(WEBOTS, text)
     assert (error.line, "divided by `%`" in error.reason) == (line, True)

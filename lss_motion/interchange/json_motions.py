@@ -1,0 +1,326 @@
+"""Motions of other robots in JSON: keyframes of humanoids, recordings of Poppy, frames of Blender.
+
+Bit-Bots: goals in degrees, durations and pauses in seconds. A keyframe is reached `duration` after
+the end of the pause before it (the first one: after the start), and is held for `pause`. The file
+does not contain the pose before the first keyframe.
+
+HULKs: groups of joints in radians, durations in seconds, from `initial_positions` on. Older files
+have `frames` in place of `motion`, and conditions among them. Jumps have stiffnesses:
+`{"positions", "stiffnesses"}` in place of the groups of joints, at the start and in each keyframe.
+
+pypot (Poppy): degrees at measured times, in any order.
+
+The Blender add-on for servo animation: one position per frame and servo. Version 2 has a list of
+`{"<servo id>": position}`, version 1 a list of positions per servo. A servo that is missing in a
+frame keeps its position. The unit depends on the set-up of the animator (often microseconds, or
+ticks of a PWM board), so a map must define it. Files that this package wrote contain it in `unit`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.files.texts import counted
+from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
+from lss_motion.interchange.reader import (
+    DIGITS,
+    FPS_MAX,
+    VALUES_MAX,
+    Channel,
+    Pose,
+    Reader,
+    Unit,
+    motion_label,
+    motion_of_poses,
+    recording,
+    summarised,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lss_motion.interchange.reader import FloatArray, ForeignMotion
+
+_ABOUT: Final = ("author", "description", "last_edited", "version")
+"""Keys that are copied into comments, for people only."""
+
+_KEYFRAME_KEYS: Final = frozenset({"duration", "pause", "goals", "name"})
+
+
+def _is_bitbots(data: bytes) -> bool:
+    return starts_json(data, b"{") and b'"keyframes"' in data and b'"goals"' in data
+
+
+def _bitbots_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    fields = JsonFields(path)
+    top = fields.mapping(parsed_json(path, data), "the file")
+    entries = [
+        fields.mapping(entry, f"keyframes[{index}]")
+        for index, entry in enumerate(fields.items(top, "keyframes", "the file"))
+    ]
+    poses: list[Pose] = []
+    for index, entry in enumerate(entries):
+        end_s = poses[-1].at_s + poses[-1].hold_s if poses else 0.0
+        poses.append(_pose(fields, entry, index, end_s))
+    motion = motion_of_poses(
+        path,
+        motion_label(top.get("name")),
+        poses,
+        comments=(
+            f"Imported from {path.name} (Bit-Bots keyframes).",
+            *(f"{key}: {top[key]}" for key in _ABOUT if top.get(key)),
+            *_not_carried(top, entries),
+        ),
+    )
+    return (motion,)
+
+
+BITBOTS: Final = Reader("bitbots", _is_bitbots, _bitbots_motions)
+"""Reads `{"name", "keyframes": [{"duration", "pause", "goals": {joint: deg}, "name"}]}`."""
+
+
+def _pose(fields: JsonFields, entry: dict[str, object], index: int, end_s: float) -> Pose:
+    where = f"keyframes[{index}]"
+    duration_s = fields.duration(entry, "duration", where)
+    if duration_s == 0.0 and index > 0:
+        fields.refuse(f"{where}.duration is 0, but must be more than 0 s")
+    goals = fields.mapping(entry.get("goals"), f"{where}.goals")
+    if not goals:
+        fields.refuse(f"{where}.goals names no joint")
+    return Pose(
+        at_s=end_s + duration_s,
+        values={joint: fields.number(goals, joint, f"{where}.goals") for joint in goals},
+        hold_s=fields.duration(entry, "pause", where),
+        label=motion_label(entry.get("name")),
+        place=where,
+    )
+
+
+def _not_carried(top: dict[str, object], entries: list[dict[str, object]]) -> tuple[str, ...]:
+    """Return a comment for every key that has a value and is not imported."""
+    known = {"name", "keyframes", *_ABOUT}
+    found = [key for key, value in top.items() if key not in known and value]
+    for entry in entries:
+        found += [
+            f"keyframes: {k}" for k, value in entry.items() if k not in _KEYFRAME_KEYS and value
+        ]
+    return summarised(found)
+
+
+START: Final = "initial_positions"
+STIFFNESSES: Final = "stiffnesses"
+"""Also found among the groups of joints, in `jump_left.json` of the team."""
+
+
+def _is_hulks(data: bytes) -> bool:
+    if not starts_json(data, b"{") or b'"initial_positions"' not in data:
+        return False
+    return (b'"motion"' in data and b'"keyframes"' in data) or b'"frames"' in data
+
+
+def _hulks_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    fields = JsonFields(path)
+    top = fields.mapping(parsed_json(path, data), "the file")
+    values, left = _values(fields, top.get(START), START)
+    poses = [Pose(at_s=0.0, values=values, place=START)]
+    found = [f"{START}: {name}" for name in left]
+    known = {START, "motion", "frames", "interpolation_mode"}
+    found += [key for key in top if key not in known and top[key]]
+    found += _mode(top)
+    for where, part, key in _parts(fields, top):
+        if part is not top:
+            known = {"keyframes", "interpolation_mode"}
+            found += [f"motion: {name}" for name in part if name not in known and part[name]]
+            found += _mode(part)
+        for index, listed in enumerate(fields.items(part, key, where or "the file")):
+            place = f"{where}.{key}[{index}]".lstrip(".")
+            keyframe = fields.mapping(listed, place)
+            if keyframe and all(name.endswith("Condition") for name in keyframe):
+                found += keyframe
+                continue
+            at_s = poses[-1].at_s + fields.duration(keyframe, "duration", place)
+            values, left = _values(fields, keyframe.get("positions"), f"{place}.positions")
+            poses.append(Pose(at_s=at_s, values=values, place=place))
+            known = {"duration", "positions", "interpolation_mode"}
+            left += [name for name in keyframe if name not in known]
+            found += [f"keyframes: {name}" for name in left]
+            found += _mode(keyframe)
+    comments = (f"Imported from {path.name} (HULKs motion).", *summarised(found))
+    return (motion_of_poses(path, path.stem, poses, unit_of=_unit, comments=comments),)
+
+
+HULKS: Final = Reader("hulks", _is_hulks, _hulks_motions)
+"""Reads `{"initial_positions", "motion": [{"keyframes": [{"duration", "positions"}]}]}`.
+
+Positions may be `{"positions", "stiffnesses"}`, at the start and in each keyframe.
+
+The name of a joint is `group.joint`, such as `left_arm.elbow_roll`.
+"""
+
+
+def _parts(fields: JsonFields, top: dict[str, object]) -> list[tuple[str, dict[str, object], str]]:
+    """Return place, content and key of each list of keyframes."""
+    if "motion" not in top:
+        return [("", top, "frames")]
+    entries = enumerate(fields.items(top, "motion", "the file"))
+    places = [(f"motion[{number}]", entry) for number, entry in entries]
+    return [(where, fields.mapping(entry, where), "keyframes") for where, entry in places]
+
+
+def _mode(part: dict[str, object]) -> list[str]:
+    mode = part.get("interpolation_mode")
+    return [f"interpolation_mode {mode!s:.40}; the keys are joined smoothly"] if mode else []
+
+
+def _values(fields: JsonFields, listed: object, where: str) -> tuple[dict[str, float], list[str]]:
+    """Return the values by joint, and the names of what is no position."""
+    groups = fields.mapping(listed, where)
+    left_out: list[str] = []
+    if "positions" in groups:
+        left_out = [name for name in groups if name != "positions" and groups[name]]
+        where = f"{where}.positions"
+        groups = fields.mapping(groups["positions"], where)
+    if STIFFNESSES in groups:
+        left_out.append(STIFFNESSES)
+    values = {
+        f"{group}.{joint}": fields.plain_number(value, f"{where}.{group}.{joint}")
+        for group, joints in groups.items()
+        if group != STIFFNESSES
+        for joint, value in fields.mapping(joints, f"{where}.{group}").items()
+    }
+    return values, left_out
+
+
+def _unit(name: str) -> Unit:
+    # A hand opens by a share from 0 to 1; all other joints rotate.
+    return Unit.RAW if name.endswith(".hand") else Unit.RAD
+
+
+def _is_pypot(data: bytes) -> bool:
+    keys = (b'"framerate"', b'"positions"')
+    return starts_json(data, b"{") and all(key in data for key in keys)
+
+
+def _pypot_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    fields = JsonFields(path)
+    top = fields.mapping(parsed_json(path, data), "the file")
+    listed = fields.mapping(top.get("positions"), "positions")
+    poses = sorted(
+        (_pypot_pose(fields, key, positions) for key, positions in listed.items()),
+        key=lambda pose: pose.at_s,
+    )
+    found = [key for key in top if key not in {"framerate", "positions"} and top[key]]
+    comments = (
+        f"Imported from {path.name} (pypot move): {counted(poses, 'sample')} at measured times.",
+        *summarised(["recorded speeds", *found]),
+    )
+    return (motion_of_poses(path, path.stem, poses, comments=comments),)
+
+
+PYPOT: Final = Reader("pypot", _is_pypot, _pypot_motions)
+"""Reads `{"framerate", "positions": {"<seconds>": {motor: [deg, deg/s]}}}`."""
+
+
+def _pypot_pose(fields: JsonFields, key: str, positions: object) -> Pose:
+    where = f"positions.{key:.40}"
+    try:
+        at_s = float(key)
+    except ValueError:
+        fields.refuse(f"{where}: the name must be a time in seconds")
+    return Pose(
+        at_s=fields.plain_number(at_s, where),
+        values={
+            motor: fields.plain_number(
+                value[0] if isinstance(value, list) and value else value, f"{where}.{motor}"
+            )
+            for motor, value in fields.mapping(positions, where).items()
+        },
+        place=where,
+    )
+
+
+TENTHS: Final = "0.1 deg"
+"""Value of `unit` in exported files, an addition of this package: joint angles in 0.1 deg."""
+
+_BLENDER_ABOUT: Final = ("description", "file", "scene", "armature")
+_KNOWN: Final = frozenset(
+    {*_BLENDER_ABOUT, "fps", "frames", "seconds", "bones", "positions", "servos", "unit", "names"}
+)
+
+
+def _is_blender(data: bytes) -> bool:
+    is_object = starts_json(data, b"{") and b'"positions"' in data
+    return is_object and b'"fps"' in data
+
+
+def _blender_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    fields = JsonFields(path)
+    top = fields.mapping(parsed_json(path, data), "the file")
+    fps = fields.number(top, "fps", "the file")
+    if not 0.0 < fps <= FPS_MAX:
+        fields.refuse(f"fps is {fps:g}, but must be more than 0 and at most {FPS_MAX:g}")
+    columns = _by_servo(fields, top) if "servos" in top else _by_frame(fields, top)
+    is_exported = top.get("unit") == TENTHS
+    channels = [
+        Channel(
+            name=name,
+            unit=Unit.DEG if is_exported else Unit.RAW,
+            times_s=np.round(frames / fps, DIGITS),
+            values=values / 10.0 if is_exported else values,
+        )
+        for name, (frames, values) in columns.items()
+    ]
+    comments = (
+        f"Imported from {path.name} (Blender servo animation, {fps:g} frames a second).",
+        *(f"{key}: {top[key]}" for key in _BLENDER_ABOUT if isinstance(top.get(key), str)),
+        *summarised([key for key in top if key not in _KNOWN and top[key]]),
+    )
+    return (recording(path, path.stem, channels, comments=comments),)
+
+
+BLENDER: Final = Reader("blender", _is_blender, _blender_motions)
+"""Reads `{"fps", "positions": [{id: position}]}` and `{"fps", "servos": {id: {...}}}`."""
+
+
+_Columns = dict[str, "tuple[FloatArray, FloatArray]"]
+
+
+def _by_servo(fields: JsonFields, top: dict[str, object]) -> _Columns:
+    columns: _Columns = {}
+    for servo, entry in fields.mapping(top["servos"], "servos").items():
+        where = f"servos.{servo:.40}"
+        listed = fields.items(fields.mapping(entry, where), "positions", where)
+        values = [fields.plain_number(v, f"{where}.positions[{i}]") for i, v in enumerate(listed)]
+        columns[servo] = (np.arange(len(values), dtype=np.float64), np.array(values))
+    if not columns:
+        fields.refuse("servos names no servo")
+    return columns
+
+
+def _by_frame(fields: JsonFields, top: dict[str, object]) -> _Columns:
+    """Return frames and positions of each servo; missing positions repeat the one before."""
+    frames = [
+        fields.mapping(entry, f"positions[{index}]")
+        for index, entry in enumerate(fields.items(top, "positions", "the file"))
+    ]
+    names = fields.mapping(top.get("names", {}), "names")
+    servos = dict.fromkeys(servo for frame in frames for servo in frame)
+    if not servos:
+        fields.refuse("positions names no servo in any frame")
+    if len(servos) * len(frames) > VALUES_MAX:
+        fields.refuse(f"{len(servos)} servos in {len(frames)} frames: more than {VALUES_MAX:,}")
+    columns: _Columns = {}
+    for servo in servos:
+        first = next(index for index, frame in enumerate(frames) if servo in frame)
+        values: list[float] = []
+        for index, frame in enumerate(frames[first:], start=first):
+            given = servo in frame
+            values.append(
+                fields.number(frame, servo, f"positions[{index}]") if given else values[-1]
+            )
+        name = names.get(servo)
+        frame_numbers = np.arange(first, len(frames), dtype=np.float64)
+        columns[name if isinstance(name, str) else servo] = (frame_numbers, np.array(values))
+    return columns
