@@ -62,10 +62,10 @@ def add_to(commands: Commands) -> None:
 
 def _faults_text() -> str:
     """Return the description of a faults file."""
-    from lss_motion.sim.faults import MEANINGS
+    from lss_motion.sim.faults import FaultKind
 
-    width = max(len(kind) for kind in MEANINGS)
-    kinds = "\n".join(f"  {kind:{width}}  {meaning}" for kind, meaning in MEANINGS.items())
+    width = max(len(kind) for kind in FaultKind)
+    kinds = "\n".join(f"  {kind:{width}}  {kind.meaning}" for kind in FaultKind)
     return f"""\
 A faults file has one row per fault; times are seconds from power-up:
 

@@ -10,7 +10,7 @@ import heapq
 import math
 from enum import StrEnum
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from msgspec import Struct, field
 
@@ -23,143 +23,101 @@ if TYPE_CHECKING:
 
 
 class FaultKind(StrEnum):
-    """Kinds of faults: of bytes on the line, of the line, of the host, of one servo."""
+    """Kinds of faults.
 
-    LOST_COMMAND = "lost_command"
-    CORRUPT_COMMAND = "corrupt_command"
-    SHORT_COMMAND = "short_command"
-    DOUBLE_COMMAND = "double_command"
-    MERGED_COMMAND = "merged_command"
-    LOST_REPLY = "lost_reply"
-    CORRUPT_REPLY = "corrupt_reply"
-    SHORT_REPLY = "short_reply"
-    DOUBLE_REPLY = "double_reply"
-    MERGED_REPLY = "merged_reply"
-    LATE_REPLY = "late_reply"
-    SPLIT_REPLY = "split_reply"
+    Each with what it concerns, when it acts, what it means, and its keys in a faults file: those
+    that it needs, and with `?` those that it may have. `line` is the line and the host. `each`: at
+    every line, reply or wait in its time, or at a `ratio` of them; `once`: at `at_s`; `span`: it
+    begins and ends; `steady`: all its time.
+    """
 
-    CLOGGED = "clogged"
-    BLOCKED_PORT = "blocked_port"
-    UNPLUGGED = "unplugged"
+    def __new__(
+        cls, word: str, concerns: str = "", acts: str = "", meaning: str = "", keys: str = ""
+    ) -> Self:
+        """Make a member from its row."""
+        self = str.__new__(cls, word)
+        self._value_ = word
+        self.concerns, self.acts, self.meaning = concerns, acts, meaning
+        self.needs = tuple(key for key in keys.split() if not key.endswith("?"))
+        self.may = tuple(key.rstrip("?") for key in keys.split())
+        return self
 
-    OVERSLEEP = "oversleep"
-    CLOCK_DRIFT = "clock_drift"
+    concerns: str
+    acts: str
+    meaning: str
+    needs: tuple[str, ...]
+    may: tuple[str, ...]
 
-    DEAF = "deaf"
-    WRONG_ID = "wrong_id"
-    RESET = "reset"
-    STUCK = "stuck"
-    WEAK = "weak"
-    HOT = "hot"
-    INPUT = "input"
-    STORED = "stored"
-    FACTORY = "factory"
-    EXCHANGED = "exchanged"
-    TWIN = "twin"
+    # fmt: off
+    LOST_COMMAND = "lost_command", "command", "each", "a line of the host reaches no servo"
+    CORRUPT_COMMAND = ("corrupt_command", "command", "each",
+        "one byte of a line of the host is another")
+    SHORT_COMMAND = "short_command", "command", "each", "one byte of a line of the host is missing"
+    DOUBLE_COMMAND = "double_command", "command", "each", "a line of the host is received twice"
+    MERGED_COMMAND = ("merged_command", "command", "each",
+        "the CR of a line of the host is lost: it runs into the next")
+    LOST_REPLY = "lost_reply", "reply", "each", "a reply is not sent"
+    CORRUPT_REPLY = "corrupt_reply", "reply", "each", "one byte of a reply is another"
+    SHORT_REPLY = "short_reply", "reply", "each", "one byte of a reply is missing"
+    DOUBLE_REPLY = "double_reply", "reply", "each", "a reply is sent twice"
+    MERGED_REPLY = ("merged_reply", "reply", "each",
+        "the CR of a reply is lost: it runs into the next")
+    LATE_REPLY = "late_reply", "reply", "each", "a reply comes `late_s` later", "late_s"
+    SPLIT_REPLY = ("split_reply", "reply", "each",
+        "the second half of a reply comes `late_s` later", "late_s")
+    CLOGGED = "clogged", "line", "steady", "what the host writes waits until `until_s`", "until_s"
+    BLOCKED_PORT = "blocked_port", "line", "steady", "the port takes no bytes of the host"
+    UNPLUGGED = "unplugged", "line", "steady", "the port is gone; what was on its way is lost"
+    OVERSLEEP = ("oversleep", "line", "each",
+        "the host wakes `late_s` too late (virtual time only)", "late_s")
+    CLOCK_DRIFT = ("clock_drift", "line", "steady",
+        "the servos' time runs `drift_ppm` faster than the host's", "drift_ppm")
+    DEAF = "deaf", "servo", "each", "a servo does not receive a line"
+    WRONG_ID = "wrong_id", "servo", "each", "a servo answers as `as_id`", "servo as_id"
+    RESET = ("reset", "servo", "once",
+        "a servo restarts: it is deaf for `deaf_s`, then limp, without its settings", "deaf_s?")
+    STUCK = "stuck", "servo", "span", "a horn does not turn"
+    WEAK = "weak", "servo", "span", "a motor has only `speed_ratio` of its top speed", "speed_ratio"
+    HOT = "hot", "servo", "once", "a servo has `temperature_c` at once", "temperature_c"
+    INPUT = ("input", "servo", "once",
+        "an analog input of an LSS-2IO takes a value", "servo raw? distance_mm? sensor?")
+    STORED = ("stored", "servo", "once",
+        "the `settings` of a servo are these at once, stored ones as well", "settings")
+    FACTORY = ("factory", "servo", "once",
+        "a servo restarts with the settings of the factory, but for its id and rate", "deaf_s?")
+    EXCHANGED = ("exchanged", "servo", "once",
+        "another servo, with the same id, takes the place of one; see `factory`",
+        "deaf_s? settings?")
+    TWIN = ("twin", "servo", "steady",
+        "another servo with the same id is on the bus, from power-up", "servo")
+    LOW_VOLTAGE = ("low_voltage", "line", "span",
+        "the supply of the bus gives only `supply_v`", "supply_v")
+    WRONG_SCALE = ("wrong_scale", "servo", "once",
+        "one unit of `setting` is `scale_ratio` times that of the documents", "setting scale_ratio")
+    SECOND_MASTER = ("second_master", "line", "steady",
+        "another host sends `text` every `every_s`; its replies arrive, too", "text every_s")
+    # fmt: on
 
-    LOW_VOLTAGE = "low_voltage"
+    def has(self, key: str) -> bool:
+        """Return whether a key of a faults file says something about this kind."""
+        match key:
+            case "kind" | "servo" | "bus":
+                return True
+            case "at_s" | "until_s":
+                return self is not FaultKind.TWIN
+            case "ratio":
+                return self.acts == "each"
+        return key in self.may
 
-    WRONG_SCALE = "wrong_scale"
-    SECOND_MASTER = "second_master"
-
-
-MEANINGS = {
-    FaultKind.LOST_COMMAND: "a line of the host reaches no servo",
-    FaultKind.CORRUPT_COMMAND: "one byte of a line of the host is another",
-    FaultKind.SHORT_COMMAND: "one byte of a line of the host is missing",
-    FaultKind.DOUBLE_COMMAND: "a line of the host is received twice",
-    FaultKind.MERGED_COMMAND: "the CR of a line of the host is lost: it runs into the next",
-    FaultKind.LOST_REPLY: "a reply is not sent",
-    FaultKind.CORRUPT_REPLY: "one byte of a reply is another",
-    FaultKind.SHORT_REPLY: "one byte of a reply is missing",
-    FaultKind.DOUBLE_REPLY: "a reply is sent twice",
-    FaultKind.MERGED_REPLY: "the CR of a reply is lost: it runs into the next",
-    FaultKind.LATE_REPLY: "a reply comes `late_s` later",
-    FaultKind.SPLIT_REPLY: "the second half of a reply comes `late_s` later",
-    FaultKind.CLOGGED: "what the host writes waits until `until_s`",
-    FaultKind.BLOCKED_PORT: "the port takes no bytes of the host",
-    FaultKind.UNPLUGGED: "the port is gone; what was on its way is lost",
-    FaultKind.OVERSLEEP: "the host wakes `late_s` too late (virtual time only)",
-    FaultKind.CLOCK_DRIFT: "the servos' time runs `drift_ppm` faster than the host's",
-    FaultKind.DEAF: "a servo does not receive a line",
-    FaultKind.WRONG_ID: "a servo answers as `as_id`",
-    FaultKind.RESET: "a servo restarts: it is deaf for `deaf_s`, then limp, without its settings",
-    FaultKind.STUCK: "a horn does not turn",
-    FaultKind.WEAK: "a motor has only `speed_ratio` of its top speed",
-    FaultKind.HOT: "a servo has `temperature_c` at once",
-    FaultKind.INPUT: "an analog input of an LSS-2IO takes a value",
-    FaultKind.STORED: "the `settings` of a servo are these at once, stored ones as well",
-    FaultKind.FACTORY: "a servo restarts with the settings of the factory, but for its id and rate",
-    FaultKind.EXCHANGED: "another servo, with the same id, takes the place of one; see `factory`",
-    FaultKind.TWIN: "another servo with the same id is on the bus, from power-up",
-    FaultKind.LOW_VOLTAGE: "the supply of the bus gives only `supply_v`",
-    FaultKind.WRONG_SCALE: "one unit of `setting` is `scale_ratio` times that of the documents",
-    FaultKind.SECOND_MASTER: "another host sends `text` every `every_s`; its replies arrive, too",
-}
-
-INSTANT = frozenset(
-    {
-        FaultKind.RESET,
-        FaultKind.HOT,
-        FaultKind.INPUT,
-        FaultKind.STORED,
-        FaultKind.FACTORY,
-        FaultKind.EXCHANGED,
-        FaultKind.WRONG_SCALE,
-    }
-)
-"""These happen once, at `at_s`; all others last until `until_s`."""
 
 RESTARTING = frozenset({FaultKind.RESET, FaultKind.FACTORY, FaultKind.EXCHANGED})
 """With these a servo restarts."""
-
-ABOUT_DEVICES = INSTANT | {FaultKind.STUCK, FaultKind.WEAK, FaultKind.LOW_VOLTAGE}
-"""These begin and end at instants; all others apply to each line or reply that passes."""
-
-ABOUT_LINE = frozenset(
-    {
-        FaultKind.LOST_COMMAND,
-        FaultKind.CORRUPT_COMMAND,
-        FaultKind.SHORT_COMMAND,
-        FaultKind.DOUBLE_COMMAND,
-        FaultKind.MERGED_COMMAND,
-        FaultKind.CLOGGED,
-        FaultKind.BLOCKED_PORT,
-        FaultKind.UNPLUGGED,
-        FaultKind.OVERSLEEP,
-        FaultKind.CLOCK_DRIFT,
-        FaultKind.LOW_VOLTAGE,
-        FaultKind.SECOND_MASTER,
-    }
-)
+INSTANT = frozenset(kind for kind in FaultKind if kind.acts == "once")
+ABOUT_LINE = frozenset(kind for kind in FaultKind if kind.concerns in ("command", "line"))
 """These concern the line or the host. A servo that does not receive commands is `deaf`."""
-
-STEADY = ABOUT_DEVICES | {
-    FaultKind.TWIN,
-    FaultKind.CLOGGED,
-    FaultKind.BLOCKED_PORT,
-    FaultKind.UNPLUGGED,
-    FaultKind.CLOCK_DRIFT,
-    FaultKind.SECOND_MASTER,
-}
+STEADY = frozenset(kind for kind in FaultKind if kind.acts != "each")
 """These have no `ratio`: they apply all the time."""
-
-_LINE_KINDS = (
-    FaultKind.LOST_COMMAND,
-    FaultKind.CORRUPT_COMMAND,
-    FaultKind.SHORT_COMMAND,
-    FaultKind.DOUBLE_COMMAND,
-    FaultKind.MERGED_COMMAND,
-)
-REPLY_KINDS = (
-    FaultKind.LOST_REPLY,
-    FaultKind.CORRUPT_REPLY,
-    FaultKind.SHORT_REPLY,
-    FaultKind.DOUBLE_REPLY,
-    FaultKind.MERGED_REPLY,
-    FaultKind.LATE_REPLY,
-    FaultKind.SPLIT_REPLY,
-)
+REPLY_KINDS = tuple(kind for kind in FaultKind if kind.concerns == "reply")
 """These damage replies; no servo is affected."""
 
 SCALED = ("D", "SD", "AA", "AD", "T")
@@ -246,7 +204,7 @@ class Faults:
 
     def __init__(self, faults: Iterable[Fault], random: Random) -> None:
         self._faults = tuple(faults)
-        self.about_lines = self._of(*_LINE_KINDS)
+        self.about_lines = self._of(*(kind for kind in FaultKind if kind.concerns == "command"))
         self.about_replies = self._of(*REPLY_KINDS)
         self.deafness = self._of(FaultKind.DEAF)
         self.wrong_ids = self._of(FaultKind.WRONG_ID)
@@ -260,10 +218,10 @@ class Faults:
         """Count time from `now_ns`."""
         self._origin_ns = now_ns
         for fault in self._faults:
-            if fault.kind in ABOUT_DEVICES:
+            if fault.kind.acts in ("once", "span"):
                 from_ns, until_ns = fault.span_ns(now_ns)
                 self.turns.append(FaultEdge(from_ns, fault, is_begin=True))
-                if fault.kind not in INSTANT and until_ns < FOREVER_NS:
+                if fault.kind.acts == "span" and until_ns < FOREVER_NS:
                     self.turns.append(FaultEdge(until_ns, fault, is_begin=False))
         self.turns.sort(key=lambda turn: turn.due_ns, reverse=True)
 

@@ -14,51 +14,11 @@ from lss_motion.protocol.codec import language_table, stored_wire
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.boards import RAW_MAX, SENSORS
-from lss_motion.sim.faults import ABOUT_LINE, INSTANT, RESTARTING, STEADY, Fault, FaultKind
+from lss_motion.sim.faults import ABOUT_LINE, INSTANT, Fault, FaultKind
 
 if TYPE_CHECKING:
     from lss_motion.protocol.codec import Language
     from lss_motion.robot.model import Robot
-
-NEEDED: dict[FaultKind, tuple[str, ...]] = {
-    FaultKind.LATE_REPLY: ("late_s",),
-    FaultKind.SPLIT_REPLY: ("late_s",),
-    FaultKind.OVERSLEEP: ("late_s",),
-    FaultKind.CLOGGED: ("until_s",),
-    FaultKind.CLOCK_DRIFT: ("drift_ppm",),
-    FaultKind.WRONG_ID: ("servo", "as_id"),
-    FaultKind.WEAK: ("speed_ratio",),
-    FaultKind.HOT: ("temperature_c",),
-    FaultKind.INPUT: ("servo",),
-    FaultKind.STORED: ("settings",),
-    FaultKind.TWIN: ("servo",),
-    FaultKind.LOW_VOLTAGE: ("supply_v",),
-    FaultKind.WRONG_SCALE: ("setting", "scale_ratio"),
-    FaultKind.SECOND_MASTER: ("text", "every_s"),
-}
-"""Keys that a kind needs."""
-
-OWN: dict[str, frozenset[FaultKind]] = {
-    "late_s": frozenset({FaultKind.LATE_REPLY, FaultKind.SPLIT_REPLY, FaultKind.OVERSLEEP}),
-    "drift_ppm": frozenset({FaultKind.CLOCK_DRIFT}),
-    "as_id": frozenset({FaultKind.WRONG_ID}),
-    "speed_ratio": frozenset({FaultKind.WEAK}),
-    "temperature_c": frozenset({FaultKind.HOT}),
-    "deaf_s": RESTARTING,
-    "raw": frozenset({FaultKind.INPUT}),
-    "distance_mm": frozenset({FaultKind.INPUT}),
-    "sensor": frozenset({FaultKind.INPUT}),
-    "settings": frozenset({FaultKind.STORED, FaultKind.EXCHANGED}),
-    "supply_v": frozenset({FaultKind.LOW_VOLTAGE}),
-    "setting": frozenset({FaultKind.WRONG_SCALE}),
-    "scale_ratio": frozenset({FaultKind.WRONG_SCALE}),
-    "text": frozenset({FaultKind.SECOND_MASTER}),
-    "every_s": frozenset({FaultKind.SECOND_MASTER}),
-    "ratio": frozenset(FaultKind) - STEADY,
-    "at_s": frozenset(FaultKind) - {FaultKind.TWIN},
-    "until_s": frozenset(FaultKind) - {FaultKind.TWIN},
-}
-"""Keys that only these kinds may have."""
 
 SENSOR_NAMES = {suffix.name: sensor for suffix, sensor in SENSORS.items()}
 
@@ -160,13 +120,11 @@ def _problems(index: int, entry: FaultEntry) -> list[Problem]:
         return [Problem((*place, "kind"), f"kind {entry.kind!r} is not known; {known}")]
     kind = FaultKind(entry.kind)
     given = entry.given
-    problems = [
-        Problem(place, f"{kind} needs {key!r}") for key in NEEDED.get(kind, ()) if key not in given
-    ]
+    problems = [Problem(place, f"{kind} needs {key!r}") for key in kind.needs if key not in given]
     problems += [
         Problem((*place, key), f"{key!r} says nothing about {kind}; leave it out")
-        for key in sorted(given & set(OWN))
-        if kind not in OWN[key]
+        for key in sorted(given)
+        if not kind.has(key)
     ]
     if entry.until_s is not None and kind in INSTANT:
         problems.append(Problem((*place, "until_s"), f"{kind} happens once; leave until_s out"))

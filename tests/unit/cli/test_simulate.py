@@ -9,7 +9,7 @@ import pytest
 from lss_motion.cli import play
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
-from lss_motion.sim.faults import MEANINGS, FaultKind
+from lss_motion.sim.faults import FaultKind
 
 ROBOT = """
 robot: one
@@ -55,7 +55,7 @@ def test_help_names_every_fault_and_what_is_not_modelled(capsys):
     out = capsys.readouterr().out
     for kind in FaultKind:
         assert f"  {kind} " in out
-        assert MEANINGS[kind] in out
+        assert kind.meaning in out
     assert "Not simulated: " in out
 
 
