@@ -75,6 +75,7 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "morning": ("morning", "sum up a night of a stage from its log"),
     },
     "other": {
+        "pack-report": ("pack", "pack what somebody needs to find a fault of a show"),
         "schema": ("planning", "print the JSON Schema of our files or messages"),
         "reference": ("reference", "print the commands of the servos"),
         "completion": ("completion", "print the script that completes commands with the Tab key"),

@@ -48,6 +48,7 @@ class Kind(StrEnum):
     MCAP = "MCAP recording"
     LEARNT = "file of learnt values"
     PAGE = "web page"
+    ARCHIVE = "archive"
 
 
 HEAD_BYTES: Final = 256
@@ -68,6 +69,7 @@ _HEADS: Final = {
     Kind.MCAP: rb"\x89MCAP0\r\n",
     Kind.LEARNT: rb"# lss_motion learnt ",
     Kind.PAGE: rb"<!doctype html>",
+    Kind.ARCHIVE: rb"PK\x03\x04",
 }
 """How the files of each kind begin."""
 
