@@ -28,10 +28,10 @@ def write_show(folder):
     Path(folder, "swing.yaml").write_text(SHOW)
 
 
-def until(is_met):
+def until(is_met, what=lambda: ""):
     """Wait until a condition holds and return what it is; the time only bounds a failure."""
     end_s = time.monotonic() + WAIT_S
     while not (found := is_met()):
-        assert time.monotonic() < end_s
+        assert time.monotonic() < end_s, f"not within {WAIT_S:g} s: {what()}"
         time.sleep(0.02)
     return found

@@ -128,7 +128,7 @@ class Browser:
             self._stack.close()
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        self._process.wait(ANSWER_S)
         self._profile.cleanup()
 
     @contextlib.contextmanager

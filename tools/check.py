@@ -14,6 +14,7 @@ import argparse
 import contextlib
 import os
 import re
+import select
 import shutil
 import signal
 import subprocess
@@ -22,7 +23,7 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from source_rules import citations, import_cycles, prose, sizes
 
@@ -35,6 +36,7 @@ FILE = re.compile(r"^```yaml\n# (my_\w+\.yaml)\n(.*?)^```", re.MULTILINE | re.DO
 COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "python tools/campaign")
 """Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
+END_SECONDS_MAX = 20.0
 SLOW_STEPS = {"guides", "campaign"}
 ALL_TESTS = ("-m", "", "--hypothesis-profile=many")
 """Tests of all tiers, and as many examples of each property as `tests/conftest.py` has for them."""
@@ -49,7 +51,7 @@ CAMPAIGN = (
     "--jobs",
     "2",
 )
-TESTS_SECONDS_MAX = 30 * 60.0
+STEP_SECONDS_MAX = 30 * 60.0
 """All tiers take 6 to 8 minutes, and up to three times as long on a busy machine."""
 ALONE_MAX = 4
 """Failed tests that are run once more, alone. More at once are not the fault of a busy machine."""
@@ -114,10 +116,10 @@ def _step(name: str, step: Callable[[], bool]) -> bool:
 
 
 def _run(*command: str) -> bool:
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        print(done.stdout + done.stderr)
-    return done.returncode == 0
+    returncode, output = _ended(command)
+    if returncode != 0:
+        print(output)
+    return returncode == 0
 
 
 def _tests(*options: str) -> bool:
@@ -127,7 +129,7 @@ def _tests(*options: str) -> bool:
     that fails alone, too, has failed; one that passes then is named, so that it can be looked at.
     """
     command = ("pytest", *options)
-    returncode, output = _ended(command, TESTS_SECONDS_MAX)
+    returncode, output = _ended(command)
     print("\n".join(output.strip().splitlines()[-1:]))
     if returncode == 0:
         return True
@@ -142,11 +144,12 @@ def _tests(*options: str) -> bool:
     return returncode == 0
 
 
-def _ended(command: tuple[str, ...], seconds_max: float) -> tuple[int, str]:
-    """Run tests; return the exit status and the output.
+def _ended(command: tuple[str, ...], seconds_max: float = STEP_SECONDS_MAX) -> tuple[int, str]:
+    """Run a command; return its exit status and its output.
 
-    Tests that take longer are aborted: each process then prints where it is. The output goes to a
-    file, so that a process that a test left behind cannot keep it open.
+    One that takes longer is aborted, with all that it has started: pytest prints then where each
+    process is. The output goes to a file, so that a process that a test left behind cannot keep it
+    open.
     """
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as log,
@@ -157,11 +160,19 @@ def _ended(command: tuple[str, ...], seconds_max: float) -> tuple[int, str]:
         try:
             process.wait(seconds_max)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGABRT)
-            print(f"the tests did not end in {seconds_max:.0f} s")
-            process.wait()
+            print(f"{command[0]} did not end in {seconds_max:.0f} s")
+            _end(process, signal.SIGABRT)
         log.seek(0)
         return process.returncode, log.read()
+
+
+def _end(process: subprocess.Popen[Any], number: int) -> None:
+    """Send a signal to a command and all that it has started; kill those that go on."""
+    for each in (number, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, each)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(END_SECONDS_MAX)
 
 
 def _obeys(*rules: Callable[[Path], list[str]]) -> bool:
@@ -229,31 +240,42 @@ def _typed(commands: list[str], folder: Path) -> bool:
             if words[-1] == "&":
                 beside.enter_context(_running(typed, folder))
                 continue
-            done = subprocess.run(
-                typed,
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                check=False,
-                timeout=COMMAND_SECONDS_MAX,
-                stdin=subprocess.DEVNULL,
-            )
-            if done.returncode != 0:
-                print(done.stdout + done.stderr)
-                is_good = False
+            is_good = _typed_once(typed, folder) and is_good
     return is_good
+
+
+def _typed_once(words: list[str], folder: Path) -> bool:
+    try:
+        done = subprocess.run(
+            words,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=COMMAND_SECONDS_MAX,
+            stdin=subprocess.DEVNULL,
+        )
+    except subprocess.TimeoutExpired as error:
+        print(f"{error}\n{error.stdout}\n{error.stderr}")
+        return False
+    if done.returncode != 0:
+        print(done.stdout + done.stderr)
+    return done.returncode == 0
 
 
 @contextlib.contextmanager
 def _running(words: list[str], folder: Path) -> Iterator[None]:
     """Run a command in the background; return after its first line of output."""
-    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words, cwd=folder, stdout=subprocess.PIPE, start_new_session=True
+    ) as process:
         assert process.stdout is not None
-        process.stdout.readline()
         try:
+            if not select.select([process.stdout], [], [], COMMAND_SECONDS_MAX)[0]:
+                raise TimeoutError(f"{' '.join(words)} prints nothing")
             yield
         finally:
-            process.terminate()
+            _end(process, signal.SIGTERM)
 
 
 if __name__ == "__main__":

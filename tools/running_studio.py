@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 START: Final = "from lss_motion.cli.start import main; raise SystemExit(main())"
+START_S: Final = 60.0
 END_S: Final = 20.0
+"""The longest times that its start and its end may take."""
 
 
 class Studio:
@@ -29,21 +33,32 @@ class Studio:
         self.process = subprocess.Popen(
             [*words, *options],
             stdout=subprocess.PIPE,
-            text=True,
             env=os.environ | {"PATH": str(Path(sys.executable).parent)},
         )
-        assert self.process.stdout is not None
-        text = ""
-        while not text.endswith("}\n"):
-            line = self.process.stdout.readline()
-            if not line:
-                raise OSError("the studio has ended")
-            text += line
-        told = json.loads(text)
+        try:
+            told = json.loads(self._read_told())
+        except (OSError, TimeoutError):
+            self.process.kill()
+            self.close()
+            raise
         self.url: str = told["url"]
         self.token: str = told["token"]
         self.stop_origin: str = told["stop"]
         self.origin: str = told["addresses"][0]
+
+    def _read_told(self) -> bytes:
+        """Return what it prints at its start, one JSON object."""
+        assert self.process.stdout is not None
+        stdout_fd = self.process.stdout.fileno()
+        told, end_s = b"", time.monotonic() + START_S
+        while not told.endswith(b"}\n"):
+            left_s = max(end_s - time.monotonic(), 0.0)
+            if not select.select([stdout_fd], [], [], left_s)[0]:
+                raise TimeoutError(f"the studio has not begun after {START_S:g} s")
+            if not (data := os.read(stdout_fd, 65536)):
+                raise OSError("the studio has ended")
+            told += data
+        return told
 
     @property
     def key(self) -> dict[str, str]:
@@ -72,9 +87,15 @@ class Studio:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGCONT)
             self.process.send_signal(signal.SIGINT)
-        self.process.wait(END_S)
         assert self.process.stdout is not None
-        self.process.stdout.close()
+        try:
+            self.process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(END_S)
+            raise
+        finally:
+            self.process.stdout.close()
 
     def __enter__(self) -> Self:
         return self

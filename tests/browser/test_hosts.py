@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from running_studio import START
+
+from tests.programs import ProgramBeside, command
 
 pytest.importorskip("zenoh", reason="needs the extra `network`")
 
@@ -36,19 +35,16 @@ def duet(tmp_path, monkeypatch):
         port = own.getsockname()[1]
     path = tmp_path / "stages" / "duet.yaml"
     path.write_text(path.read_text().replace("127.0.0.1:7447", f"127.0.0.1:{port}"))
-    words = [sys.executable, "-c", START, "serve", str(path), "--figure", "right"]
-    log = tmp_path / "right.txt"
-    with (
-        log.open("wb") as out,
-        subprocess.Popen(words, stdin=subprocess.PIPE, stdout=out, env=dict(os.environ)) as right,
-    ):
-        yield path, right, log
+    words = command("serve", path, "--figure", "right")
+    with ProgramBeside(words, stdin=subprocess.PIPE) as right:
+        yield path, right
         right.send_signal(signal.SIGCONT)
         right.send_signal(signal.SIGINT)
+        right.ended()
 
 
 def test_the_page_shows_every_computer_a_lost_one_and_one_stop_for_all(studio, opened, duet):
-    path, right, log = duet
+    path, right = duet
     with studio(path, "--figure", "left", "--go", command="serve") as own, opened(own) as page:
         page.wait(f"{row('left', '.host-state')} === 'playing'")
         page.wait(f"{row('right', '.host-state')} === 'playing'")
@@ -67,4 +63,4 @@ def test_the_page_shows_every_computer_a_lost_one_and_one_stop_for_all(studio, o
         page.key("Escape")
         page.wait("document.body.dataset.latched === 'true'")
         page.wait("document.querySelector('.hosts') === null")
-    assert "the conductor stopped all" in log.read_text()
+    assert "the conductor stopped all" in right.said

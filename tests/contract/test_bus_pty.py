@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -20,6 +20,7 @@ from lss_motion.robot.model import Bus, Robot, ServoModel
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.pty import serve
 from tests.joints import joint
+from tests.programs import ProgramBeside
 
 pytestmark = pytest.mark.realtime
 
@@ -300,12 +301,9 @@ def announce(text):
     print(text, flush=True)
 print(serve(make_robot(), Path({str(link)!r}), seed=1, announce=announce))
 """
-    process = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert str(link) in process.stdout.readline()
-    process.send_signal(number)
-    out, errors = process.communicate(timeout=10)
-    assert (process.returncode, errors) == (0, "")
-    assert out.strip() == str(int(number))
+    with ProgramBeside([sys.executable, "-c", program]) as process:
+        process.wait_for(re.escape(str(link)))
+        process.send_signal(number)
+        assert (process.ended(), process.errors) == (0, "")
+    assert process.said.splitlines()[-1] == str(int(number))
     assert not link.is_symlink()

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import signal
-import subprocess
-import sys
 import termios
 import time
 import tty
@@ -18,6 +15,8 @@ import pytest
 from lss_motion.errors import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.system.port import SerialPort
+from tests.programs import ProgramBeside, terminal_command
+from tests.swing import until
 
 GAIT = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
 pytestmark = pytest.mark.realtime
@@ -36,8 +35,6 @@ robot: robot.yaml
 loop: forever
 keyframes: [{at_s: 0, pose: home}, {at_s: 1, deg: {pan: 30}}, {at_s: 2, pose: home}]
 """
-ENDS_S = 60.0
-"""No command may take longer; on an idle computer the slowest takes 4 s."""
 
 
 @pytest.fixture
@@ -66,25 +63,6 @@ def wait_until_blocked():
     os.close(port_fd)
 
 
-def _own_the_terminal():
-    """Make standard input the terminal that keys come from."""
-    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-
-
-def start(*words):
-    """Start a command whose standard input is a terminal of its own."""
-    keyboard_fd, terminal_fd = os.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "lss_motion.cli.main", *words],
-        stdin=terminal_fd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        start_new_session=True,
-        preexec_fn=_own_the_terminal,  # noqa: PLW1509  (it only makes one system call)
-    )  # fmt: skip
-    os.close(terminal_fd)
-    process.keyboard_fd = keyboard_fd  # Open as long as the process object lives.
-    return process
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
@@ -104,39 +82,34 @@ def start(*words):
     ],
 )
 def test_a_port_that_takes_no_bytes_ends_every_command_with_its_reason(blocked_port, words):
-    with blocked_port():
-        process = start(*words.split())
-        _, errors = process.communicate(timeout=ENDS_S)
-    assert (process.returncode, "takes no bytes" in errors) == (EXIT_UNREACHABLE, True), errors
-    assert "Traceback" not in errors
+    with blocked_port(), ProgramBeside(terminal_command(*words.split()), keys=True) as process:
+        code = process.ended()
+    assert (code, "takes no bytes" in process.errors) == (EXIT_UNREACHABLE, True), process.errors
+    assert "Traceback" not in process.errors
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 6])
 def test_ctrl_c_ends_a_show_whose_port_takes_no_bytes(blocked_port, count):
     with blocked_port(4.0):
-        process = start("play", "show.yaml", "--yes")
-        for line in process.stdout:
-            if "lost_port" in line or "takes no bytes" in line:
-                break
-        for _ in range(count):
-            process.send_signal(signal.SIGINT)
-            time.sleep(0.05)
-        _, errors = process.communicate(timeout=ENDS_S)
-    assert process.returncode in (EXIT_UNREACHABLE, EXIT_INTERRUPTED)
-    assert "Traceback" not in errors
+        command = terminal_command("play", "show.yaml", "--yes")
+        with ProgramBeside(command, keys=True) as process:
+            process.wait_for("lost_port|takes no bytes")
+            for _ in range(count):
+                process.send_signal(signal.SIGINT)
+                time.sleep(0.05)
+            assert process.ended() in (EXIT_UNREACHABLE, EXIT_INTERRUPTED)
+    assert "Traceback" not in process.errors
 
 
 def test_closing_a_port_waits_for_its_bytes_as_long_as_they_leave(blocked_port):
     with blocked_port(0.0, 1.2) as bus:
-        while time.monotonic_ns() < bus.blocks_ns()[0][0] + 900_000_000:
-            time.sleep(0.01)
+        until(lambda: time.monotonic_ns() >= bus.blocks_ns()[0][0] + 900_000_000)
         port = SerialPort("port", 115200)
         port.write(b"#254H\r")
         assert not port.has_sent_all()
         port.close()
-        while not any(line != b"\r" for _, line in bus.lines):
-            time.sleep(0.01)
+        until(lambda: any(line != b"\r" for _, line in bus.lines))
     assert [line for _, line in bus.lines if line != b"\r"] == [b"#254H\r"]
 
 

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
-import pty
 import re
-import select
 import signal
-import subprocess
-import sys
-import termios
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -21,6 +14,7 @@ from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.hand import Hand
+from tests.programs import ProgramBeside, terminal_command
 from tests.served_bus import served_bus
 
 pytestmark = pytest.mark.realtime
@@ -34,8 +28,6 @@ joints:
 poses:
   home: {pan: 0, tilt: 0}   # straight ahead
 """
-SAID_MAX_CHARS = 30_000
-"""About half a minute of frames: whoever waits longer waits in vain."""
 SWAY_S = np.arange(0.0, 60.0, 0.05)
 SWAY = Hand(SWAY_S, {"pan": 30.0 * np.sin(SWAY_S), "tilt": 10.0 + 10.0 * np.sin(2.0 * SWAY_S)})
 
@@ -50,66 +42,11 @@ def simulated(folder, hand=None):
         yield bus, served.unplug
 
 
-def _own_the_terminal():
-    """Make standard input the terminal that Ctrl-C comes from."""
-    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-
-
-class Person:
-    """Runs a command with a terminal of its own, presses its keys and reads what it says."""
-
-    def __init__(self, folder, *command):
-        self._own_fd, child_fd = pty.openpty()
-        words = [str(word) for word in command]
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "lss_motion.cli.main", *words, "--robot", folder / "robot.yaml",
-             "--port", folder / "port"],
-            stdin=child_fd, stdout=child_fd, stderr=child_fd, cwd=folder, start_new_session=True,
-            preexec_fn=_own_the_terminal,  # noqa: PLW1509  (it only makes one system call)
-        )  # fmt: skip
-        os.close(child_fd)
-        self.said = ""
-        self._seen = 0
-
-    def wait_for(self, pattern):
-        """Read on until it says what matches, behind what the last call waited for."""
-        while not (match := re.compile(pattern).search(self.said, self._seen)):
-            is_more = self._read(20.0) and len(self.said) < self._seen + SAID_MAX_CHARS
-            assert is_more, f"it never said {pattern!r}: {self.said[-2000:]}"
-        self._seen = match.end()
-
-    def press(self, keys):
-        os.write(self._own_fd, keys.encode())
-
-    def end(self):
-        """Return the exit code; the output to its end is in `said`."""
-        while self._read(20.0):
-            pass
-        return self.process.wait(20.0)
-
-    def close(self):
-        self.process.kill()
-        self.process.wait(20.0)
-        os.close(self._own_fd)
-
-    def _read(self, timeout_s):
-        if not select.select([self._own_fd], [], [], timeout_s)[0]:
-            return False
-        try:
-            data = os.read(self._own_fd, 65536)
-        except OSError:  # Linux: the other end is closed.
-            return False
-        self.said += data.decode()
-        return bool(data)
-
-
-@contextmanager
 def person(folder, *command):
-    someone = Person(folder, *command)
-    try:
-        yield someone
-    finally:
-        someone.close()
+    """Run a command in a terminal of its own, with the robot behind its port."""
+    robot = ("--robot", folder / "robot.yaml", "--port", folder / "port")
+    words = terminal_command(*command, *robot)
+    return ProgramBeside(words, keys=True, screen=True, cwd=folder)
 
 
 def received(bus):
@@ -133,7 +70,7 @@ def test_poses_and_a_stretch_that_a_hand_shows_become_a_sequence(tmp_path):
         someone.press("pu")
         someone.wait_for("removed")
         someone.press("q")
-        code = someone.end()
+        code = someone.ended()
         assert code == 0, someone.said
         assert "Traceback" not in someone.said
         lines = received(bus)
@@ -157,8 +94,8 @@ def test_a_signal_leaves_servos_that_hold_and_a_file_of_what_was_shown(tmp_path,
         if number == signal.SIGINT:
             someone.press("\x03")  # As the terminal makes it of Ctrl-C.
         else:
-            someone.process.send_signal(number)
-        assert someone.end() == code
+            someone.send_signal(number)
+        assert someone.ended() == code
         assert received(bus)[-1] == b"#254H"
         assert b"#1SD3600" in received(bus)[-14:]
     assert load_sequence(out, load_robot(tmp_path / "robot.yaml")).keyframes
@@ -173,7 +110,7 @@ def test_a_port_that_is_lost_while_recording_loses_nothing_that_was_shown(tmp_pa
         someone.press("lr")
         someone.wait_for(r"RECORDING  (0\.[2-9]|[1-9])")
         unplug()
-        assert someone.end() == 4
+        assert someone.ended() == 4
     assert "lost port" in someone.said
     assert "Traceback" not in someone.said
     assert load_sequence(out, load_robot(tmp_path / "robot.yaml")).keyframes
@@ -190,7 +127,7 @@ def test_jog_moves_within_the_range_and_keeps_poses_in_the_robot_file(tmp_path):
         someone.press("c")
         someone.wait_for("pose nod: ")
         someone.press("q")
-        assert someone.end() == 0, someone.said
+        assert someone.ended() == 0, someone.said
         lines = received(bus)
     targets = [int(re.split(rb"D|T", line)[1]) for line in lines if line.startswith(b"#2D")]
     assert max(targets) == 600
@@ -214,7 +151,7 @@ def test_a_held_key_and_a_flood_of_keys_delay_no_stop(tmp_path):
         someone.press("c" * 2000)
         someone.wait_for("pose pose: ")
         someone.press("c" * 2000 + "q" + "c" * 90)
-        assert someone.end() == 0, someone.said
+        assert someone.ended() == 0, someone.said
         assert received(bus)[-1] == b"#254H"
     assert set(load_robot(tmp_path / "robot.yaml").poses) <= {"home", "pose", "pose_2"}
 
@@ -254,7 +191,7 @@ def test_calibrate_finds_zero_and_direction(tmp_path):
         someone.wait_for("press y")
         assert "zero_deg" not in (tmp_path / "robot.yaml").read_text()
         someone.press("y")
-        assert someone.end() == 0, someone.said
+        assert someone.ended() == 0, someone.said
         lines = received(bus)
     robot = load_robot(tmp_path / "robot.yaml")
     assert (robot.joints["pan"].direction, robot.joints["tilt"].direction) == (1, -1)
@@ -273,7 +210,7 @@ def test_a_signal_while_calibrating_writes_nothing_and_holds(tmp_path):
         someone.press("l")
         someone.wait_for("press Enter")
         someone.press("\x03")
-        assert someone.end() == 130
+        assert someone.ended() == 130
         assert received(bus)[-1] == b"#254H"
     assert (tmp_path / "robot.yaml").read_text() == ROBOT
 
@@ -284,6 +221,6 @@ def test_a_port_that_is_lost_while_jogging_is_an_error_in_words(tmp_path):
         someone.press("\x1b[C")
         someone.wait_for("> pan")
         unplug()
-        assert someone.end() == 4
+        assert someone.ended() == 4
     assert "lost port" in someone.said
     assert "Traceback" not in someone.said

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
-import threading
 
 import pytest
 
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
+from tests.programs import ProgramBeside, command
+from tests.swing import until
 
 pytestmark = pytest.mark.realtime
 
@@ -82,43 +80,25 @@ def test_what_is_wrong_with_a_servo_is_told_and_nothing_is_written(
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_brakes_restores_and_holds(on_terminal, servo, robot, number, code):
     with on_terminal(servo(1)) as bus:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "lss_motion.cli.main", *ASKED, "--yes"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            text=True,
-        )
-        turn = threading.Event()
-        while process.poll() is None and sum(line.startswith(b"#1D") for line in received(bus)) < 4:
-            turn.wait(0.01)
-        process.send_signal(number)
-        _, errors = process.communicate(timeout=20)
+        with ProgramBeside(command(*ASKED, "--yes")) as process:
+            until(lambda: sum(line.startswith(b"#1D") for line in received(bus)) >= 4)
+            process.send_signal(number)
+            assert process.ended() == code
         last = received(bus)[-5:]
-    assert process.returncode == code
-    assert errors == "pan: stopped; nothing was measured\n"
+    assert process.errors == "pan: stopped; nothing was measured\n"
     assert last[-1] == b"#1H"
     assert set(last[:-1]) == RESTORED
     assert robot.read_text() == ROBOT
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("answer", "code"), [(b"n\n", 130), (b"\n", 130)])
+@pytest.mark.parametrize(("answer", "code"), [("n\n", 130), ("\n", 130)])
 def test_nobody_agrees_and_nothing_moves(on_terminal, servo, robot, answer, code):
     with on_terminal(servo(1)) as bus:
-        ours, theirs = os.openpty()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "lss_motion.cli.main", *ASKED],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            stdin=theirs,
-            text=True,
-        )
-        os.write(ours, answer)
-        out, errors = process.communicate(timeout=20)
-        os.close(ours)
-        os.close(theirs)
+        with ProgramBeside(command(*ASKED), keys=True) as process:
+            process.press(answer)
+            assert process.ended() == code
         assert all(b"Q" in line for line in received(bus))
-    assert (process.returncode, errors) == (code, "")
-    assert "will move between -6.0 and 6.0 deg" in out
-    assert "nothing was moved" in out
+    assert process.errors == ""
+    assert "will move between -6.0 and 6.0 deg" in process.said
+    assert "nothing was moved" in process.said

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import os
-import pty
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from lss_motion.sim.faults import Fault, FaultKind
+from tests.programs import ProgramBeside, command
 
 pytestmark = pytest.mark.realtime
 
@@ -27,24 +24,14 @@ joints: {pan: {id: 1}, tilt: {id: 2}, gone: {id: 3}}
 
 
 def monitored(*words, until):
-    """Run `monitor` until its output has these texts, however long that takes; then interrupt it.
+    """Run `monitor` until its output has these texts; then interrupt it.
 
     Returns the exit code, the output and the errors.
     """
-    command = [sys.executable, "-u", "-m", "lss_motion.cli.main", "monitor", *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    missing, out = set(until), ""
-    while missing:
-        line = process.stdout.readline()
-        if not line:
-            break
-        out += line
-        missing -= {text for text in missing if text in line}
-    process.send_signal(signal.SIGINT)
-    rest, errors = process.communicate(timeout=60)
-    assert not missing, out + errors
-    return process.returncode, out + rest, errors
+    with ProgramBeside(command("monitor", *words)) as process:
+        process.wait_for_all(*until)
+        process.send_signal(signal.SIGINT)
+        return process.ended(), process.said, process.errors
 
 
 @pytest.mark.slow
@@ -114,27 +101,14 @@ def test_a_port_that_is_pulled_ends_it_with_its_reason(on_terminal, servo, lss_m
 def test_on_a_terminal_there_is_a_table_and_ctrl_c_ends_it(on_terminal, servo):
     with on_terminal(servo(1, start_deg=12.0)):
         Path("robot.yaml").write_text(ROBOT)
-        main_fd, terminal_fd = pty.openpty()
-        command = [sys.executable, "-m", "lss_motion.cli.main", "monitor", "robot.yaml"]
-        process = subprocess.Popen(
-            command,
-            stdout=terminal_fd,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
-        )
-        os.close(terminal_fd)
-        shown = b""
-        while b"12.0 deg" not in shown:
-            shown += os.read(main_fd, 4096)
-        process.send_signal(signal.SIGINT)
-        with contextlib.suppress(OSError):  # Linux ends a terminal so.
-            while data := os.read(main_fd, 4096):
-                shown += data
-        os.close(main_fd)
-        _, errors = process.communicate(timeout=10)
-    assert process.returncode == EXIT_INTERRUPTED
-    assert b"Ctrl-C ends" in shown
-    assert b"Traceback" not in errors
+        env = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+        words = command("monitor", "robot.yaml")
+        with ProgramBeside(words, keys=True, screen=True, env=env) as process:
+            process.wait_for("12.0 deg")
+            process.send_signal(signal.SIGINT)
+            assert process.ended() == EXIT_INTERRUPTED
+    assert "Ctrl-C ends" in process.said
+    assert "Traceback" not in process.said
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import re
 import signal
-import subprocess
-import sys
-import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,7 +14,9 @@ from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
+from tests.programs import ProgramBeside, command, terminal_command
 from tests.served_bus import served_bus
+from tests.swing import until
 from tests.tables import first_quick
 from tests.timed_moves import is_move
 
@@ -43,6 +40,7 @@ keyframes:
   - {at_s: 0.6, deg: {pan: 40, tilt: 30}}
   - {at_s: 1.2, pose: home}
 """
+QUESTION = r"go\? \[y/N\] "
 SESSION_BEFORE = [b"#1EM1", b"#1AA100", b"#1AD100", b"#1SD3600"]
 
 
@@ -62,161 +60,66 @@ def simulated(folder, bus=None):
         yield served
 
 
-@contextmanager
 def playing(folder, port, *options, loop="1"):
+    """Play without a terminal."""
     (folder / "sway.yaml").write_text(SWAY % loop)
-    command = [sys.executable, "-m", "lss_motion.cli.play", str(folder / "sway.yaml"), "--port",
-               port.path, "--yes", *options]  # fmt: skip
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+    words = (folder / "sway.yaml", "--port", port.path, "--yes", *options)
+    return ProgramBeside(command("play", *words))
 
 
-IN_FRONT = """
-import os, sys
-os.setsid()
-os.close(os.open(os.ttyname(0), os.O_RDWR))
-from lss_motion.cli.main import main
-from lss_motion.cli.play import main as play
-sys.exit(main(sys.argv[1:]))
-"""
-"""Runs `lss-motion` with the terminal as its own, as a shell's job in the foreground has it."""
-
-
-def in_front(folder, port, *options):
-    """Return the command that plays a short show in the foreground of its terminal."""
+def at_a_keyboard(folder, port, *options, **streams):
+    """Play a short show in the foreground of a terminal."""
     (folder / "sway.yaml").write_text(SWAY % 1)
-    return [sys.executable, "-c", IN_FRONT, "play", str(folder / "sway.yaml"), "--port",
-            port.path, *options]  # fmt: skip
-
-
-@contextmanager
-def at_a_keyboard(folder, port, *options):
-    """Play from a terminal; yields the process and its keyboard."""
-    keyboard, terminal = pty.openpty()
-    command = in_front(folder, port, *options)
-    process = subprocess.Popen(
-        command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    try:
-        yield process, keyboard
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(keyboard)
-        os.close(terminal)
-
-
-@contextmanager
-def on_a_terminal(folder, port, *options):
-    """Play with a terminal for all it says and receives; yields the process and the other end."""
-    other_end, terminal = pty.openpty()
-    command = in_front(folder, port, *options)
-    process = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal)
-    os.close(terminal)
-    with os.fdopen(other_end, "r+b", buffering=0) as screen:
-        try:
-            yield process, screen
-        finally:
-            process.kill()
-            process.wait()
-
-
-def read_until(screen, text):
-    """Read what stands on the screen until it is `text`; or, for None, until nobody writes."""
-    said = b""
-    while text is None or text not in said:
-        try:
-            more = screen.read(4096)
-        except OSError:  # Nobody has the terminal open any more.
-            more = b""
-        if not more:
-            assert text is None, f"it never said {text}: {said}"
-            break
-        said += more
-    return said
-
-
-def wait_for_question(process):
-    """Read until the question, which ends no line; return what was said before."""
-    said = ""
-    while not said.endswith("go? [y/N] "):
-        if not (char := process.stdout.read(1)):
-            pytest.fail(f"it never asked: {said}")
-        said += char
-    return said
+    words = (folder / "sway.yaml", "--port", port.path, *options)
+    return ProgramBeside(terminal_command("play", *words), keys=True, **{"merged": True, **streams})
 
 
 def test_a_person_is_asked_and_nothing_is_changed_before_the_answer(folder):
     log = folder / "a.log"
-    with simulated(folder) as port, at_a_keyboard(folder, port, "--log", str(log)) as opened:
-        process, keyboard = opened
-        said = wait_for_question(process)
+    with simulated(folder) as port, at_a_keyboard(folder, port, "--log", log) as process:
+        said = process.wait_for(QUESTION)
         assert [line.split()[:2] for line in said.splitlines() if "LSS-ST1" in line] == [
             ["pan", "1"],
             ["tilt", "2"],
         ]
         assert all(line[2:3] == b"Q" for line in lines_heard(port)), "only questions so far"
-        os.write(keyboard, b"y")
-        said, _ = process.communicate(timeout=30)
-        assert process.returncode == 0, said
+        process.press("y")
+        assert process.ended() == 0, process.said
         assert any(line.startswith(b"#2D") for line in lines_heard(port))
     assert main(["replay", "--again", str(log)]) == 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("answer", [b"\n", b"n", b"\x03"])
+@pytest.mark.parametrize("answer", ["\n", "n", "\x03"])
 def test_without_a_yes_nothing_moves_and_nothing_was_changed(folder, answer):
-    with simulated(folder) as port, at_a_keyboard(folder, port) as (process, keyboard):
-        wait_for_question(process)
-        os.write(keyboard, answer)
-        said, _ = process.communicate(timeout=30)
-        assert process.returncode == 130
-        assert "nothing was moved" in said
+    with simulated(folder) as port, at_a_keyboard(folder, port) as process:
+        process.wait_for(QUESTION)
+        process.press(answer)
+        assert process.ended() == 130
+        assert "nothing was moved" in process.said
         assert all(line[2:3] == b"Q" for line in lines_heard(port))
 
 
 def test_where_nobody_can_be_asked_the_port_is_not_even_opened(folder):
     (folder / "sway.yaml").write_text(SWAY % 1)
     with simulated(folder) as port:
-        command = [sys.executable, "-m", "lss_motion.cli.play", str(folder / "sway.yaml")]
-        done = subprocess.run(
-            [*command, "--port", port.path],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=30,
-            check=False,
-        )
+        words = command("play", folder / "sway.yaml", "--port", port.path)
+        with ProgramBeside(words) as process:
+            assert process.ended() == 2
         assert lines_heard(port) == []
-    assert done.returncode == 2
-    assert "--yes" in done.stderr
+    assert "--yes" in process.errors
 
 
 def lines_heard(port):
     return [line for _, line in port.bus.lines]
 
 
-def wait_for(process, text):
-    """Read what the player says until it says `text`."""
-    for line in process.stdout:
-        if text in line:
-            return
-    pytest.fail(f"it never said {text!r}: {process.stderr.read()}")
-
-
 def test_a_show_reaches_its_end_and_its_keyframes_over_a_real_terminal(folder):
     """A starved host may send late, leave out moves and get no reading in time, and reports so."""
     path = folder / "r.json"
     with simulated(folder) as port:
-        with playing(folder, port, "--report", str(path)) as process:
-            _, errors = process.communicate(timeout=60)
-            assert process.returncode == 0, errors
+        with playing(folder, port, "--report", path) as process:
+            assert process.ended() == 0, process.errors
         moves = [line for line in lines_heard(port) if is_move(line)]
         pan = [found for line in moves if (found := re.match(rb"#1D(-?\d+)", line))]
         end_ns = port.bus.lines[-1][0]
@@ -239,12 +142,11 @@ def test_a_show_reaches_its_end_and_its_keyframes_over_a_real_terminal(folder):
 def test_a_signal_in_the_middle_brakes_restores_and_holds(folder, number, code):
     with simulated(folder) as port:
         with playing(folder, port, loop="forever") as process:
-            wait_for(process, "playing")
+            process.wait_for("playing")
             wait_for_moves(port, 6)
             process.send_signal(number)
-            _, errors = process.communicate(timeout=20)
-        assert process.returncode == code
-        assert errors == ""
+            assert process.ended() == code
+        assert process.errors == ""
         assert_restored_and_held(port)
         end_ns = port.bus.lines[-1][0]
         last = port.bus.horn_deg(np.arange(end_ns - 100_000_000, end_ns, 5_000_000))
@@ -260,47 +162,44 @@ def assert_restored_and_held(port):
 
 @pytest.mark.slow
 def test_a_terminal_that_is_closed_in_the_middle_brakes_restores_and_holds(folder):
-    with simulated(folder) as port, on_a_terminal(folder, port, "--yes") as (process, screen):
-        read_until(screen, b"playing")
+    with simulated(folder) as port, at_a_keyboard(folder, port, "--yes", screen=True) as process:
+        process.wait_for("playing")
         wait_for_moves(port, 6)
-        screen.close()
-        assert process.wait(timeout=20) == 129
+        process.hang_up()
+        assert process.ended() == 129
         assert_restored_and_held(port)
 
 
 @pytest.mark.slow
 def test_an_interrupt_while_helpers_start_is_theirs_to_ignore_and_the_robot_holds(folder):
-    with simulated(folder) as port, on_a_terminal(folder, port, "--yes") as (process, screen):
-        said = read_until(screen, b"preparing")
-        screen.write(b"\x03")
-        said += read_until(screen, None)
-        assert process.wait(timeout=20) == 130
-        for sign in (b"Traceback", b"Fatal", b"KeyboardInterrupt"):
-            assert sign not in said
+    with simulated(folder) as port, at_a_keyboard(folder, port, "--yes", screen=True) as process:
+        process.wait_for("preparing")
+        process.press("\x03")
+        assert process.ended() == 130
+        for sign in ("Traceback", "Fatal", "KeyboardInterrupt"):
+            assert sign not in process.said
         assert_restored_and_held(port)
 
 
 def wait_for_moves(port, count):
-    """Wait, without looking at the clock, until the servos have received so many moves."""
-    turn = threading.Event()
-    while sum(line.startswith(b"#1D") for line in lines_heard(port)) < count:
-        turn.wait(0.01)
+    until(lambda: sum(line.startswith(b"#1D") for line in lines_heard(port)) >= count)
 
 
 @pytest.mark.slow
 def test_a_second_interrupt_stops_at_once(folder):
     with simulated(folder) as port:
         with playing(folder, port, loop="forever") as process:
-            wait_for(process, "playing")
+            process.wait_for("playing")
             wait_for_moves(port, 6)
             process.send_signal(signal.SIGINT)
-            wait_for(process, "stopping")
+            process.wait_for("stopping")
             process.send_signal(signal.SIGINT)
-            said, errors = process.communicate(timeout=20)
-        assert process.returncode == 130
-        assert errors == ""
+            assert process.ended() == 130
+        assert process.errors == ""
         assert lines_heard(port)[-1].rstrip(b"\r") == b"#254H"
-        warning = next(line for line in said.splitlines() if line.startswith("warning: stopped"))
+        warning = next(
+            line for line in process.said.splitlines() if line.startswith("warning: stopped")
+        )
         assert "AA, AD, SD stay" in warning
         assert "power off and on" in warning
 
@@ -308,12 +207,12 @@ def test_a_second_interrupt_stops_at_once(folder):
 def test_a_port_that_vanishes_is_an_error_that_says_what_became_of_robot_and_show(folder):
     report = folder / "r.json"
     with simulated(folder) as port:
-        with playing(folder, port, "--report", str(report), loop="forever") as process:
-            wait_for(process, "playing")
+        with playing(folder, port, "--report", report, loop="forever") as process:
+            process.wait_for("playing")
             wait_for_moves(port, 6)
             port.unplug()
-            _, errors = process.communicate(timeout=20)
-        assert process.returncode == 4
+            assert process.ended() == 4
+        errors = process.errors
         assert "lost port" in errors
         assert "the device is gone" in errors
         assert "command to hold could not be sent" in errors
@@ -328,16 +227,15 @@ def test_a_port_that_is_plugged_in_again_is_played_on(folder):
     report = folder / "r.json"
     (folder / "robot.yaml").write_text(ROBOT.replace("resume_s: 1.5", "resume_s: 20"))
     with simulated(folder) as port:
-        with playing(folder, port, "--report", str(report), loop="3") as process:
-            wait_for(process, "playing")
+        with playing(folder, port, "--report", report, loop="3") as process:
+            process.wait_for("playing")
             wait_for_moves(port, 6)
             port.unplug()
-            wait_for(process, "recovering")
+            process.wait_for("recovering")
             received = len(port.bus.lines)
             with simulated(folder, port.bus):
-                wait_for(process, "playing")
-                _, errors = process.communicate(timeout=60)
-        assert process.returncode == 0, errors
+                process.wait_for("playing")
+                assert process.ended() == 0, process.errors
         lines = [line.rstrip(b"\r") for line in lines_heard(port)[received:]]
         first = next(i for i, line in enumerate(lines) if line.startswith(b"#1D"))
         assert {b"#1EM1", b"#1AA60", b"#1SD1800"} <= set(lines[:first])
@@ -350,7 +248,7 @@ def test_a_port_that_is_plugged_in_again_is_played_on(folder):
 def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
     with simulated(folder) as port:
         with playing(folder, port, loop="forever") as process:
-            wait_for(process, "playing")
+            process.wait_for("playing")
             wait_for_moves(port, 6)
             process.kill()
             process.communicate(timeout=20)

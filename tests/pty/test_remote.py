@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import lss_motion as lss
+from tests.programs import ProgramBeside
 from tests.swing import WAIT_S, until, write_show
 
 pytestmark = pytest.mark.realtime
@@ -67,7 +67,7 @@ def test_an_exception_in_the_block_stops_the_show(on_terminal, servo, show):
         handle = lss.start(*show())
         with pytest.raises(ZeroDivisionError), handle:
             fail_in_the_show(handle)
-        assert handle.wait().outcome == "stopped"
+        assert handle.wait(WAIT_S).outcome == "stopped"
         assert not handle.is_playing
         assert bus.lines[-1][1] == b"#254H\r"
 
@@ -78,15 +78,12 @@ def test_a_client_that_is_killed_or_stands_still_leaves_a_safe_robot(
     on_terminal, servo, show, number
 ):
     with on_terminal(servo(1)) as bus:
-        client = subprocess.Popen([sys.executable, "-c", PLAYER], stdout=subprocess.PIPE)
-        pid = int(client.stdout.readline())
-        time.sleep(1.5)  # While it plays, its beats keep the show going.
-        assert is_running(pid)
-        client.send_signal(number)
-        until(lambda: not is_running(pid))
-        client.kill()
-        client.wait()
-        client.stdout.close()
+        with ProgramBeside([sys.executable, "-c", PLAYER]) as client:
+            pid = int(client.wait_for(r"\d+\n"))
+            time.sleep(1.5)  # While it plays, its beats keep the show going.
+            assert is_running(pid)
+            client.send_signal(number)
+            until(lambda: not is_running(pid))
         assert bus.lines[-1][1] == b"#254H\r"
         assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
 

@@ -7,8 +7,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import urllib.error
@@ -23,6 +21,7 @@ pytest.importorskip("pythonosc", reason="pip install 'lss-motion[stage,studio]'"
 
 from pythonosc.osc_message_builder import OscMessageBuilder
 
+from tests.programs import ProgramBeside, command
 from tests.swing import ROBOT, WAIT_S, until
 
 pytestmark = pytest.mark.realtime
@@ -64,23 +63,11 @@ class Hall:
         self.write("idle", deg=2, to_s=2, end_s=4)
         self.write("scare", deg=30, to_s=1, end_s=2)
         Path("hall.yaml").write_text(stage.format(http=self.http, osc=self.osc_port, hook=hook))
-        words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "hall.yaml", "--json"]
-        self.process = subprocess.Popen(
-            [*words, *options],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+        self.process = ProgramBeside(
+            command("serve", "hall.yaml", "--json", *options),
             env={**os.environ, "LSS_MOTION_STATE_DIR": str(Path.cwd() / "state")},
         )
-        self.errors = []
-        self.reader = threading.Thread(target=self.errors.extend, args=(self.process.stderr,))
-        self.reader.start()
-        text = ""
-        while not text.endswith("}\n"):
-            line = self.process.stdout.readline()
-            assert line, self.errors
-            text += line
-        self.token = json.loads(text)["token"]
+        self.token = json.loads(self.process.wait_for(r"}\n"))["token"]
 
     @staticmethod
     def write(name, **fields):
@@ -106,34 +93,24 @@ class Hall:
         until(lambda: fields.items() <= self.ask("/state").items())
 
     def said(self, words):
-        return any(words in line for line in self.errors)
+        return words in self.process.errors
 
     def end(self, number):
         self.process.send_signal(number)
-        code = self.process.wait(WAIT_S)
-        self.reader.join()
-        return code
+        return self.process.ended()
 
 
 @contextlib.contextmanager
 def halls():
     """Yield what starts a stage; end those that still run."""
-    running = []
+    with contextlib.ExitStack() as running:
 
-    def start(*options, hook=9, stage=STAGE):
-        running.append(Hall(hook, *options, stage=stage))
-        return running[-1]
+        def start(*options, hook=9, stage=STAGE):
+            own = Hall(hook, *options, stage=stage)
+            running.enter_context(own.process)
+            return own
 
-    try:
         yield start
-    finally:
-        for one in running:
-            if one.process.poll() is None:
-                one.process.kill()
-                one.process.wait()
-                one.reader.join()
-            one.process.stdout.close()
-            one.process.stderr.close()
 
 
 @pytest.fixture
@@ -164,7 +141,8 @@ def hook():
     thread.start()
     yield server.server_port, Handler.got
     server.shutdown()
-    thread.join()
+    thread.join(WAIT_S)
+    assert not thread.is_alive()
     server.server_close()
 
 
@@ -210,7 +188,7 @@ def test_cues_new_files_and_the_end_of_a_stage(on_terminal, servo, hall):
         assert own.end(signal.SIGTERM) == 0
         assert bus.lines[-1][1] == HOLD
         assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
-        assert len(own.errors) < 100, "a storm fills no log"
+        assert own.process.errors.count("\n") < 100, "a storm fills no log"
 
 
 @pytest.mark.slow
@@ -256,17 +234,16 @@ def test_a_port_is_waited_for_and_a_stop_is_kept(on_terminal, servo, hall, hook,
 def test_what_cannot_begin_ends_with_its_code(hall, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     own = hall()
-    assert own.process.wait(WAIT_S) == 4
+    assert own.process.ended() == 4
     assert own.said("port")
-    words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "hall.yaml"]
-    half = [*words, "--tls-certificate", "nothing.pem"]
-    done = subprocess.run(half, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr == "lss-motion: --tls-certificate and --tls-key belong together\n"
+    words = command("serve", "hall.yaml")
+    with ProgramBeside([*words, "--tls-certificate", "nothing.pem"]) as half:
+        assert half.ended() == 2
+    assert half.errors == "lss-motion: --tls-certificate and --tls-key belong together\n"
     Path("hall.yaml").write_text(Path("hall.yaml").read_text().replace("osc: /hall", "ocs: /hall"))
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("hall.yaml:6:")
+    with ProgramBeside(words) as wrong:
+        assert wrong.ended() == 2
+    assert wrong.errors.startswith("hall.yaml:6:")
 
 
 @pytest.mark.slow
@@ -278,4 +255,4 @@ def test_a_log_that_cannot_be_written_is_said_and_ends_with_2(on_terminal, servo
         until(lambda: own.said("the log cannot be written: "))
         assert "is not a folder" in own.ask("/state")["log"]
         assert own.end(signal.SIGINT) == 2
-    assert "of the log could not be written: " in own.errors[-1]
+    assert "of the log could not be written: " in own.process.errors.splitlines()[-1]

@@ -9,8 +9,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
-import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -22,6 +20,7 @@ from rig.robot import verdict_of
 
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
+from tests.programs import ProgramBeside, command
 from tests.pty.test_serve import free_port
 from tests.pty.test_studio import children, post
 from tests.served_bus import served_bus
@@ -81,28 +80,23 @@ class Pair:
         self.osc_port = free_port(socket.SOCK_DGRAM)
         stage = STAGE.format(port=free_port(), http=self.http, osc=self.osc_port)
         Path("pair.yaml").write_text(stage + more)
-        self.lines = {"left": [], "right": []}
-        self.processes, self._readers = {}, []
+        self.processes = {}
         self._serve("left", "--json", *options)
         self._serve("right")
-        until(lambda: '"token"' in "".join(self.lines["left"]))
-        self.token = re.search(r'"token": "([^"]+)"', "".join(self.lines["left"]))[1]
+        self.token, self.stop = (self._told(name) for name in ("token", "stop"))
 
     def _serve(self, name, *options):
-        words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "pair.yaml"]
-        self.processes[name] = subprocess.Popen(
-            [*words, "--figure", name, "--port", f"./{name}", *options],
+        words = ("serve", "pair.yaml", "--figure", name, "--port", f"./{name}", *options)
+        self.processes[name] = ProgramBeside(
+            command(*words),
+            merged=True,
             stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
             env={**os.environ, "LSS_MOTION_STATE_DIR": str(Path.cwd() / "state")},
         )
-        reader = threading.Thread(
-            target=self.lines[name].extend, args=(self.processes[name].stdout,)
-        )
-        reader.start()
-        self._readers.append(reader)
+
+    def _told(self, name):
+        pattern = re.compile(rf'"{name}": "([^"]+)"')
+        return until(lambda: pattern.search(self.processes["left"].said))[1]
 
     def ask(self, path, **fields):
         """Return the answer of the server; with fields, or an operation, it is asked to do."""
@@ -139,17 +133,8 @@ class Pair:
         """End both by Ctrl-C, the conductor first; return their exit codes."""
         codes = {}
         for name, process in self.processes.items():
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                try:
-                    codes[name] = process.wait(WAIT_S)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    codes[name] = process.wait()
-        for reader, process in zip(self._readers, self.processes.values(), strict=True):
-            reader.join()
-            process.stdout.close()
-            process.stdin.close()
+            process.send_signal(signal.SIGINT)
+            codes[name] = process.ended()
         return codes
 
 
@@ -163,10 +148,8 @@ def pair(*options, more=""):
         bus.record()
     with served_bus(buses[0], Path("left")), served_bus(buses[1], Path("right")):
         own = Pair(*options, more=more)
-        try:
+        with own.processes["left"], own.processes["right"]:
             yield own, robot, buses
-        finally:
-            own.end()
 
 
 def objections_to(robot, bus, began_ns):
@@ -226,8 +209,7 @@ def test_a_stop_needs_no_conductor_and_without_it_the_others_hold(tmp_path, monk
         conductor = children(own.processes["left"].pid)["process"]
         os.kill(conductor, signal.SIGSTOP)
         pressed_ns = time.monotonic_ns()
-        stop = re.search(r'"stop": "([^"]+)"', "".join(own.lines["left"]))[1]
-        assert post({"stop": stop, "token": own.token}, path) == 204
+        assert post({"stop": own.stop, "token": own.token}, path) == 204
         time.sleep(6.5)
         os.kill(conductor, signal.SIGCONT)
         assert own.end() == {"left": 0, "right": 0}

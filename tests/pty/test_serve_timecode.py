@@ -6,7 +6,6 @@ import contextlib
 import re
 import socket
 import struct
-import subprocess
 import time
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.timecode.timecode import FPP_PORT, FPS_25, timecode_of
 from tests.pty.test_serve import halls, until
-from tests.pty.test_timecode import DESK, PLAYER, jack_ports, other_program
+from tests.pty.test_timecode import DESK, PLAYER, began, jack, jack_ports, other_program
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 needs_jack = pytest.mark.skipif(
@@ -142,9 +141,7 @@ def test_timecode_of_another_program_leads_a_stage_through_jack(
             if source == "mtc":
                 desk = stack.enter_context(other_program(DESK, "900"))
                 started(hall, "mtc")
-                desk.stdin.write("\n")
-                desk.stdin.flush()
-                began_ns = round(float(desk.stdout.readline()) * NS)
+                began_ns = round(began(desk) * NS)
             else:
                 started(hall, "ltc")
                 labels = [timecode_of(36000 * 25 + n, FPS_25) for n in range(250)]
@@ -156,7 +153,7 @@ def test_timecode_of_another_program_leads_a_stage_through_jack(
                 began_ns = time.monotonic_ns() + NS
                 (out,) = [p for p in jack_ports("PortAudio") if p not in inputs and ":out" in p]
                 (into,) = [p for p in inputs if ":in" in p]
-                subprocess.run(["jack_connect", out, into], check=True, capture_output=True)
+                jack("jack_connect", out, into)
             time.sleep(9.0)
         late = late_ms(bus, lambda seconds: seconds, 2.5, 9.0, began_ns)
         assert len(late) >= 8

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -17,6 +13,8 @@ from benches import sound_recorder
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.run import Observer, perform
 from lss_motion.playing.sound_choice import SoundChoice
+from tests.programs import ProgramBeside, command
+from tests.swing import until
 
 soundfile = pytest.importorskip(
     "soundfile", reason="sound files: pip install 'lss-motion[sound]'", exc_type=ImportError
@@ -158,18 +156,11 @@ def test_clicks_sound_at_their_show_time_where_a_show_is_sent_to(server, show):
 
 def test_nothing_sounds_after_the_player_was_killed(server, show):
     with sound_recorder.Recorder() as recorder:
-        player = subprocess.Popen(
-            [sys.executable, "-m", "lss_motion.cli.main", "play", str(show), "--quiet"],
-            env={**os.environ, "PYTHONPATH": str(ROBOT.parents[2])},
-        )
-        recorder.connect(30.0)
-        end_s = time.monotonic() + 30.0
-        while not len(clicks_of(recorder)) and time.monotonic() < end_s:
-            time.sleep(0.02)
-        player.send_signal(signal.SIGKILL)
-        killed_ns = time.monotonic_ns()
-        player.wait()
+        with ProgramBeside(command("play", show, "--quiet")) as player:
+            recorder.connect(30.0)
+            until(lambda: len(clicks_of(recorder)))
+            player.kill()
+            killed_ns = time.monotonic_ns()
         time.sleep(0.8)
         heard_ns = clicks_of(recorder)
-    assert len(heard_ns)
     assert heard_ns[-1] < killed_ns + 150_000_000

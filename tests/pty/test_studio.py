@@ -7,8 +7,6 @@ import json
 import os
 import signal
 import ssl
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -18,6 +16,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from tests.programs import ProgramBeside, command
 from tests.swing import SHOW, WAIT_S, until, write_show
 
 pytestmark = pytest.mark.realtime
@@ -127,24 +126,15 @@ def studio(tmp_path):
     running = []
 
     def start(*options):
-        words = [sys.executable, "-m", "lss_motion.cli.start", "studio", "swing.yaml", *options]
-        server = subprocess.Popen(
-            [*words, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        server = ProgramBeside(command("studio", "swing.yaml", *options, "--json"))
         running.append(server)
-        text = ""
-        while not text.endswith("}\n"):
-            line = server.stdout.readline()
-            assert line, server.stderr.read()
-            text += line
-        return server, json.loads(text)
+        return server, json.loads(server.wait_for(r"}\n"))
 
     yield start
     for server in running:
         started = children(server.pid) if server.poll() is None else {}
-        server.send_signal(signal.SIGCONT)
-        server.kill()
-        server.communicate()
+        with server:
+            server.send_signal(signal.SIGCONT)
         for pid in started.values():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
@@ -192,7 +182,7 @@ def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo,
         player = children(server.pid)["process"]
         os.kill(server.pid, signal.SIGSTOP)
         with pytest.raises(urllib.error.HTTPError, match="401"):
-            urllib.request.urlopen(info["stop"] + "/stop", data=b"")
+            urllib.request.urlopen(info["stop"] + "/stop", data=b"", timeout=WAIT_S)
         assert state_of(player) != "Z"
         assert post(info, "/stop") == 204
         until(lambda: state_of(player) == "Z")
@@ -201,8 +191,7 @@ def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo,
         os.kill(server.pid, signal.SIGCONT)
         assert one.wait("player", state="ended", latch="stop")
         server.send_signal(signal.SIGINT)
-        _, errors = server.communicate(timeout=WAIT_S)
-        assert (server.returncode, errors) == (0, "")
+        assert (server.ended(), server.errors) == (0, "")
 
 
 @pytest.mark.slow
@@ -269,8 +258,7 @@ def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
         browser.wait("player", state="ended")
         browser.context.__exit__(None, None, None)
     server.send_signal(signal.SIGTERM)
-    server.communicate(timeout=WAIT_S)
-    assert server.returncode == 0
+    assert server.ended() == 0
 
 
 @pytest.mark.slow

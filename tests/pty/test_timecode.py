@@ -25,9 +25,10 @@ from lss_motion.stage.timecode.timecode import (
     read_send,
     timecode_of,
 )
+from tests.programs import ProgramBeside, command
+from tests.swing import WAIT_S
 
 pytestmark = pytest.mark.realtime
-WAIT_S = 30.0
 needs_jack = pytest.mark.skipif(
     bool(sound_recorder.missing()), reason=sound_recorder.missing() or "there is one"
 )
@@ -74,19 +75,17 @@ def server():
 @contextlib.contextmanager
 def other_program(text, *arguments):
     """Another program; yields it when it has written its first line."""
-    child = subprocess.Popen(
-        [sys.executable, "-c", text, *arguments],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
-        assert child.stdout.readline(), "it does not start"
+    words = [sys.executable, "-c", text, *arguments]
+    with ProgramBeside(words, stdin=subprocess.PIPE) as child:
+        child.wait_for(r"\n")
         yield child
-    finally:
-        child.kill()
-        child.communicate()
+
+
+def began(desk):
+    """Let a desk begin; return when that was, in s of the clock."""
+    desk.stdin.write(b"\n")
+    desk.stdin.flush()
+    return float(desk.wait_for(r"\S+\n"))
 
 
 def read_until(source, is_enough):
@@ -116,9 +115,7 @@ def followed_desk():
         desk = stack.enter_context(other_program(DESK, "3000"))
         spec = read_follow("mtc:desk", offset="10:00:00:00")
         source = stack.enter_context(TimecodeSource(spec))
-        desk.stdin.write("\n")
-        desk.stdin.flush()
-        start_s = float(desk.stdout.readline())
+        start_s = began(desk)
         legs = read_until(
             source,
             lambda legs, _: legs and (legs[-1].state != "locked" or legs[-1].show_s > 2.6),
@@ -160,8 +157,8 @@ def test_ltc_of_another_program_is_followed_from_a_sound_input(server, tmp_path)
             (out,) = [port for port in ports if ":out" in port]
             (into,) = [port for port in inputs if ":in" in port]
             for speaker in ("system:playback_1", "system:playback_2"):
-                subprocess.run(["jack_disconnect", out, speaker], capture_output=True, check=False)
-            subprocess.run(["jack_connect", out, into], check=True, capture_output=True)
+                jack("jack_disconnect", out, speaker, check=False)
+            jack("jack_connect", out, into)
             legs, texts = read_for(source, 4.5)
     locked = [leg for leg in legs if leg.state == "locked"]
     assert len(locked) > 20, texts
@@ -216,9 +213,14 @@ class ShowStub:
         self.clock = ShowClock(start_ns - 10**9, -1.0, 1.0)
 
 
+def jack(*words, check=True):
+    """Run a program of JACK; return what it prints."""
+    done = subprocess.run(words, capture_output=True, text=True, check=check, timeout=WAIT_S)
+    return done.stdout
+
+
 def jack_ports(client):
-    listed = subprocess.run(["jack_lsp", client], capture_output=True, text=True, check=True)
-    return listed.stdout.split()
+    return jack("jack_lsp", client).split()
 
 
 def test_packets_of_others_are_ignored_and_those_of_the_list_followed():
@@ -286,28 +288,20 @@ def test_timecode_that_ends_beyond_the_end_of_the_show_ends_the_program_with_a_c
         "robot: arm\ndefaults: {model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}\n"
         "joints: {j: {id: 1, range_deg: [-90, 90]}}\n"
     )
-    words = ["-m", "lss_motion.cli.play", "show.yaml", "--follow", "artnet", "--freewheel", "0.5"]
+    follow = ("--follow", "artnet", "--freewheel", "0.5", "--offset-s", "01:00:00:00")
+    words = command("play", "show.yaml", *follow)
     with (
-        subprocess.Popen(
-            [sys.executable, *words, "--offset-s", "01:00:00:00"],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        ) as child,
+        ProgramBeside(words, merged=True, cwd=tmp_path) as child,
         socket.socket(type=socket.SOCK_DGRAM) as desk,
     ):
-        said = []
-        for line in child.stdout:
-            said.append(line)
-            if "waits for its leader" in line:
-                for number in range(20):
-                    frame = bytes((number, 20, 0, 1, 1))
-                    packet = b"Art-Net\0\x00\x97\x00\x0e\0\0" + frame
-                    desk.sendto(packet, ("127.0.0.1", ARTNET_PORT))
-                    time.sleep(0.04)
-    assert child.returncode == 5
-    assert "beyond the end of the show, and is gone" in said[-1]
+        child.wait_for("waits for its leader")
+        for number in range(20):
+            frame = bytes((number, 20, 0, 1, 1))
+            packet = b"Art-Net\0\x00\x97\x00\x0e\0\0" + frame
+            desk.sendto(packet, ("127.0.0.1", ARTNET_PORT))
+            time.sleep(0.04)
+        assert child.ended() == 5
+    assert "beyond the end of the show, and is gone" in child.said.splitlines()[-1]
 
 
 def test_a_source_that_is_not_there_says_so():

@@ -9,7 +9,6 @@ import ctypes.util
 import json
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from lss_motion.stage.triggers.devices import MidiPort
 from lss_motion.stage.triggers.mqtt import MqttLink, broker_of
 from lss_motion.stage.triggers.osc import OscPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
+from tests.programs import ProgramBeside
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 WAIT_S = 30.0
@@ -47,6 +47,11 @@ async def until(condition):
     while not condition():
         assert time.monotonic() < end_s, "waited too long"
         await asyncio.sleep(0.02)
+
+
+async def ended(program):
+    """Wait until a program has ended; return its exit code."""
+    return await asyncio.wait_for(program.wait(), WAIT_S)
 
 
 def free_port():
@@ -89,27 +94,23 @@ def test_liblo_sends_and_receives():
         )
         await port.open(("127.0.0.1", 0))
         to, back = str(port.place[1]), free_port()
-        dump = await asyncio.create_subprocess_exec(
-            "oscdump", "-L", str(back), stdout=subprocess.PIPE
-        )
-        await asyncio.sleep(0.2)
-        for words in (
-            ("/hall/door", "i", "1"),
-            ("/hall/door", "f", "0"),
-            ("/lss/cue", "s", "scare"),
-            ("/lss/subscribe", "i", str(back)),
-        ):
-            one = await asyncio.create_subprocess_exec("oscsend", "localhost", to, *words)
-            await one.wait()
-        sent_s = loop.time()
-        send_bundle(port.place[1], 0.5, "/lss/go")
-        await until(lambda: len(done) == 3)
-        port.send_joints({"jaw": 12.5, "neck": -3.0})
-        lines = [(await dump.stdout.readline()).decode().split(" ", 1)[1] for _ in range(4)]
-        dump.terminate()
-        await dump.wait()
+        with ProgramBeside(["oscdump", "-L", str(back)]) as dump:
+            await asyncio.sleep(0.2)
+            for words in (
+                ("/hall/door", "i", "1"),
+                ("/hall/door", "f", "0"),
+                ("/lss/cue", "s", "scare"),
+                ("/lss/subscribe", "i", str(back)),
+            ):
+                one = await asyncio.create_subprocess_exec("oscsend", "localhost", to, *words)
+                await ended(one)
+            sent_s = loop.time()
+            send_bundle(port.place[1], 0.5, "/lss/go")
+            await until(lambda: len(done) == 3)
+            port.send_joints({"jaw": 12.5, "neck": -3.0})
+            await until(lambda: dump.said.count("\n") == 4)
         port.close()
-        return done[2][1] - sent_s, lines
+        return done[2][1] - sent_s, [line.split(" ", 1)[1] for line in dump.said.splitlines()]
 
     waited_s, lines = asyncio.run(run())
     assert [one.op for one, _ in done] == ["trigger", "cue", "go"]
@@ -209,9 +210,6 @@ def test_a_note_of_another_program_comes_through_jack():
 
     async def run():
         port = MidiPort("sequence", gate(said), lambda *found: done.append(found), said.append)
-        sequence = await asyncio.create_subprocess_exec(
-            "jack_midiseq", "sequence", "4000", "0", "60", "2000", stdout=subprocess.DEVNULL
-        )
 
         def has_opened():
             port.open()
@@ -219,10 +217,9 @@ def test_a_note_of_another_program_comes_through_jack():
                 port.close()  # What is missing is looked for in some seconds only.
             return port.open_name is not None
 
-        await until(has_opened)
-        await until(lambda: done)
-        sequence.kill()
-        await sequence.wait()
+        with ProgramBeside(["jack_midiseq", "sequence", "4000", "0", "60", "2000"]):
+            await until(has_opened)
+            await until(lambda: done)
         await until(lambda: port.open_name is None)
         port.close()
 
@@ -247,20 +244,15 @@ def test_mosquitto_brings_cues_and_keeps_the_state(tmp_path):
     async def publish(topic, text, *more):
         words = ("-p", str(number), "-t", topic, "-m", text, *more)
         one = await asyncio.create_subprocess_exec("mosquitto_pub", *words)
-        assert await one.wait() == 0
-
-    brokers = []
-
-    async def broker():
-        started = await asyncio.create_subprocess_exec(
-            "mosquitto", "-c", str(config), stderr=subprocess.DEVNULL
-        )
-        brokers.append(started)
-        await asyncio.sleep(0.3)
-        return started
+        assert await ended(one) == 0
 
     async def run():
-        first = await broker()
+        with contextlib.ExitStack() as brokers:
+            return await served_by(brokers)
+
+    async def served_by(brokers):
+        first = brokers.enter_context(ProgramBeside(["mosquitto", "-c", str(config)]))
+        await until(lambda: "running" in first.errors)
         await publish("hall/door", "early", "-r")  # Kept from before: it fires nothing.
         own = broker_of(f"mqtt://127.0.0.1:{number}", {})
         link = MqttLink(own, "hall", gate(said), lambda *found: done.append(found), said.append)
@@ -274,25 +266,18 @@ def test_mosquitto_brings_cues_and_keeps_the_state(tmp_path):
         await publish("lss/hall/do", "nonsense")
         await until(lambda: len(done) == 2)
         first.terminate()  # The broker is started anew, and has forgotten everything.
-        await first.wait()
-        second = await broker()
+        first.ended()
+        brokers.enter_context(ProgramBeside(["mosquitto", "-c", str(config)]))
         await until(lambda: sum("connected" in text for text in said) == 2)
         read = await asyncio.create_subprocess_exec(
             *("mosquitto_sub", "-p", str(number), "-t", "lss/hall/#", "-C", "2", "-W", "5", "-v"),
             stdout=subprocess.PIPE,
         )
-        kept, _ = await read.communicate()
+        kept, _ = await asyncio.wait_for(read.communicate(), WAIT_S)
         link.close()
-        second.terminate()
-        await second.wait()
         return kept.decode()
 
-    try:
-        kept = asyncio.run(run())
-    finally:
-        for one in brokers:
-            if one.returncode is None:
-                os.kill(one.pid, signal.SIGKILL)
+    kept = asyncio.run(run())
     assert [(one.op, origin) for one, origin in done] == [
         ("trigger", "MQTT hall/door"),
         ("cue", "MQTT lss/hall/cue/scare"),

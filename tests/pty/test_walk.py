@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import pty
 import shutil
-import subprocess
-import sys
-import threading
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,27 +11,20 @@ import pytest
 
 from lss_motion.planning import shows
 from lss_motion.sim.bus import bus_from_robot
-from tests.pty.test_careful import read_until
-from tests.served_bus import ServedBus
+from tests.programs import ProgramBeside, terminal_command
+from tests.served_bus import served_bus
+from tests.swing import until
 from tests.timed_moves import is_move
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
 APPROACH_MOVES = 12
-IN_FRONT = """
-import os, sys
-os.setsid()
-os.close(os.open(os.ttyname(0), os.O_RDWR))
-from lss_motion.cli.main import main
-sys.exit(main(sys.argv[1:]))
-"""
-"""Runs `lss-motion` with the terminal as its own, as a shell's job in the foreground has it."""
 
 
 @contextmanager
-def walking(folder, *options, consent="--yes", stderr=subprocess.PIPE):
-    """Serve the quadruped, and steer it from a terminal; yields bus, process and its keyboard."""
+def walking(folder, *options, consent="--yes", merged=False):
+    """Serve the quadruped, and steer it from a terminal; yields its bus and the program."""
     options = [*options, consent] if consent else options
     (folder / "robots").mkdir()  # What is learnt about the robot stands beside its file.
     gait = shutil.copy(EXAMPLE, folder)
@@ -44,39 +32,17 @@ def walking(folder, *options, consent="--yes", stderr=subprocess.PIPE):
     _, robot = shows.load_gait(EXAMPLE, None)
     bus = bus_from_robot(robot, "main", seed=1)
     bus.record()
-    served = ServedBus(bus, folder / "port")
-    keyboard, terminal = pty.openpty()
-    command = [sys.executable, "-c", IN_FRONT, "walk", str(gait), "--port",
-               str(folder / "port"), *options]  # fmt: skip
-    process = subprocess.Popen(
-        command,
-        stdin=terminal,
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        text=True,
-    )
-    try:
-        yield bus, process, keyboard
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(keyboard)
-        os.close(terminal)
-        served.unplug()
-
-
-def wait_for(process, text):
-    for line in process.stdout:
-        if text in line:
-            return
-    pytest.fail(f"it never said {text!r}: {process.stderr.read()}")
+    command = terminal_command("walk", gait, "--port", folder / "port", *options)
+    with (
+        served_bus(bus, folder / "port"),
+        ProgramBeside(command, keys=True, merged=merged) as process,
+    ):
+        yield bus, process
 
 
 def wait_for_moves(bus, count):
-    """Wait, without looking at the clock, until the servos have received so many moves."""
-    turn = threading.Event()
-    while sum(is_move(line) for _, line in bus.lines) < count:
-        turn.wait(0.01)
+    """Wait until the servos have received so many moves."""
+    until(lambda: sum(is_move(line) for _, line in bus.lines) >= count)
 
 
 def horns_at_the_end(bus):
@@ -85,16 +51,15 @@ def horns_at_the_end(bus):
 
 
 def test_keys_make_it_walk_and_an_interrupt_brings_it_to_its_stand(tmp_path):
-    with walking(tmp_path, "--no-feedback", "--force") as (bus, process, keyboard):
-        wait_for(process, "playing")
+    with walking(tmp_path, "--no-feedback", "--force") as (bus, process):
+        process.wait_for("playing")
         wait_for_moves(bus, APPROACH_MOVES)
-        os.write(keyboard, b"ww")
-        wait_for(process, "15 mm/s forward")
+        process.press("ww")
+        process.wait_for("15 mm/s forward")
         wait_for_moves(bus, APPROACH_MOVES + 100)
-        os.write(keyboard, b"\x03")
-        _, errors = process.communicate(timeout=60)
-        assert process.returncode == 130, errors
-        assert errors == ""
+        process.press("\x03")
+        assert process.ended() == 130, process.errors
+        assert process.errors == ""
         received = [line.rstrip(b"\r") for _, line in bus.lines]
         assert received[-1] == b"#254H"
         stand_deg = approached(bus)
@@ -115,26 +80,24 @@ def approached(bus):
 
 
 def test_q_ends_in_the_stand_too(tmp_path):
-    with walking(tmp_path, "--no-feedback", "--force", "--quiet") as (bus, process, keyboard):
+    with walking(tmp_path, "--no-feedback", "--force", "--quiet") as (bus, process):
         wait_for_moves(bus, APPROACH_MOVES)
-        os.write(keyboard, b"w\x1b[D")
+        process.press("w\x1b[D")
         wait_for_moves(bus, APPROACH_MOVES + 100)
-        os.write(keyboard, b"q")
-        _, errors = process.communicate(timeout=60)
-        assert process.returncode == 0, errors
+        process.press("q")
+        assert process.ended() == 0, process.errors
         assert np.abs(horns_at_the_end(bus)[-1] - approached(bus)).max() < 0.6
         assert (tmp_path / "robots" / "quadruped.learnt.yaml").exists(), "it is offered no more"
 
 
 def test_a_first_walk_offers_a_careful_run_of_every_joint(tmp_path):
-    with walking(tmp_path, consent="", stderr=subprocess.STDOUT) as (bus, process, keyboard):
-        said = read_until(process, "go? [y/N] ")
+    with walking(tmp_path, consent="", merged=True) as (bus, process):
+        said = process.wait_for(r"go\? \[y/N\] ")
         assert "Press c for a\ncareful run first" in said
-        os.write(keyboard, b"c")
-        said = read_until(process, "Begin? [y/N] ")
+        process.press("c")
+        said = process.wait_for(r"Begin\? \[y/N\] ")
         assert said.count("deg and back, at most") == APPROACH_MOVES
-        os.write(keyboard, b"n\n")
-        said, _ = process.communicate(timeout=60)
-        assert process.returncode == 130, said
-        assert "no: nothing was moved" in said
+        process.press("n\n")
+        assert process.ended() == 130, process.said
+        assert "no: nothing was moved" in process.said
         assert not any(is_move(line) for _, line in bus.lines)

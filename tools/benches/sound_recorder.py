@@ -18,11 +18,13 @@ import ctypes
 import ctypes.util
 import os
 import pickle
+import select
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +38,13 @@ PERIOD_FRAMES = 1024
 FLOATS = b"32 bit float mono audio"
 IS_INPUT = 1
 PLAYBACK_LATENCY = 1
+NUMBERS = count()
+"""No server of a process has the name of one before: JACK's library, once a client of that, would
+be connected to the new one, and get no data."""
+END_S = 10.0
+"""The longest time that a program of the sound server may take to end."""
+ANSWER_S = 30.0
+"""The longest time that the recorder may take for an answer."""
 SKIP_NS = 2_000_000
 """A larger change from one block to the next is a dropout."""
 
@@ -52,7 +61,7 @@ def missing() -> str:
 @contextlib.contextmanager
 def sound_server() -> Iterator[dict[str, str]]:
     """Run a sound server without hardware; yield the environment for its clients."""
-    name = f"lssmotion{os.getpid()}"
+    name = f"lssmotion{os.getpid()}_{next(NUMBERS)}"
     environ = {
         "JACK_DEFAULT_SERVER": name,
         "JACK_NO_START_SERVER": "1",
@@ -69,8 +78,7 @@ def sound_server() -> Iterator[dict[str, str]]:
             )
             if _is_up(server, environ):
                 break
-            server.terminate()
-            server.wait()
+            _end(server)
         else:
             output.seek(0)
             raise OSError(f"jackd does not start: {output.read().decode()[-300:]}")
@@ -83,18 +91,31 @@ def sound_server() -> Iterator[dict[str, str]]:
                 os.environ.pop(key, None)
                 if value is not None:
                     os.environ[key] = value
-            server.terminate()
-            server.wait()
+            _end(server)
+
+
+def _end(server: subprocess.Popen[bytes]) -> None:
+    server.terminate()
+    try:
+        server.wait(END_S)
+    except subprocess.TimeoutExpired:
+        server.kill()
+        server.wait(END_S)
 
 
 def _is_up(server: subprocess.Popen[bytes], environ: dict[str, str]) -> bool:
     end_s = time.monotonic() + 5.0
     while time.monotonic() < end_s and server.poll() is None:
-        listed = subprocess.run(
-            ["jack_lsp"], env={**os.environ, **environ}, capture_output=True, check=False
-        )
-        if b"system:playback_1" in listed.stdout:
-            return True
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            listed = subprocess.run(
+                ["jack_lsp"],
+                env={**os.environ, **environ},
+                capture_output=True,
+                check=False,
+                timeout=END_S,
+            )
+            if b"system:playback_1" in listed.stdout:
+                return True
         time.sleep(0.05)
     return False
 
@@ -130,7 +151,11 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._child.communicate()
+        try:
+            self._child.communicate(timeout=END_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.communicate(timeout=END_S)
 
     def connect(self, wait_s: float = 10.0, source: str = "PortAudio:out_0") -> None:
         """Record this port, once it is there."""
@@ -150,6 +175,8 @@ class Recorder:
         assert self._child.stdout is not None
         self._child.stdin.write(question.encode() + b"\n")
         self._child.stdin.flush()
+        if not select.select([self._child.stdout], [], [], ANSWER_S)[0]:
+            raise TimeoutError(f"the recorder does not answer {question!r} within {ANSWER_S:g} s")
         return pickle.load(self._child.stdout)  # noqa: S301  (our own process)
 
 

@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from lss_motion.errors import EXIT_INPUT, EXIT_INTERRUPTED
 from lss_motion.system.signals import Ended, as_program, exit_code, raising
+from tests.programs import ProgramBeside
 
 pytestmark = pytest.mark.realtime
 
@@ -40,21 +42,15 @@ COMMANDS = {
 DELAYS_S = (0.0, 0.05, 0.15, 0.3, 0.8, 2.0)
 
 
+@contextmanager
 def begun(tmp_path, entry, *words):
-    """Start a program; return it when its own code begins to run."""
+    """Start a program; yields it when its own code begins to run."""
     environment = {**os.environ, "LSS_MOTION_CACHE_DIR": str(tmp_path / "plans")}
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM.format(entry=entry), *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        cwd=EXAMPLES,
-        env=environment,
-        start_new_session=True,
-        text=True,
-    )
-    assert process.stdout.readline() == "begins\n"
-    return process
+    command = [sys.executable, "-c", PROGRAM.format(entry=entry), *words]
+    options = {"cwd": EXAMPLES, "env": environment, "start_new_session": True}
+    with ProgramBeside(command, merged=True, **options) as process:
+        process.wait_for("^begins\n")
+        yield process
 
 
 @pytest.mark.slow
@@ -62,13 +58,12 @@ def begun(tmp_path, entry, *words):
 def test_ctrl_c_at_any_instant_ends_a_program_without_a_traceback(tmp_path, place, name):
     """All commands start with the same code, so each is interrupted at every second instant."""
     for delay_s in DELAYS_S[place % 2 :: 2]:
-        process = begun(tmp_path, *COMMANDS[name])
-        time.sleep(delay_s)
-        process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=60)
-        assert "Traceback" not in said, (delay_s, said)
-        assert "Exception ignored" not in said, (delay_s, said)
-        assert process.returncode in (0, EXIT_INTERRUPTED), (delay_s, said)
+        with begun(tmp_path, *COMMANDS[name]) as process:
+            time.sleep(delay_s)
+            process.send_signal(signal.SIGINT)
+            assert process.ended() in (0, EXIT_INTERRUPTED), (delay_s, process.said)
+        assert "Traceback" not in process.said, (delay_s, process.said)
+        assert "Exception ignored" not in process.said, (delay_s, process.said)
         if process.returncode == 0 and name != "real time":
             break  # It had ended before the signal came.
 
@@ -78,25 +73,25 @@ def test_ctrl_c_at_any_instant_ends_a_program_without_a_traceback(tmp_path, plac
 @pytest.mark.parametrize("name", ["real time", "monitor", "walk"])
 def test_other_signals_end_a_program_the_same_way(tmp_path, name, number):
     for delay_s in DELAYS_S[1::4]:
-        process = begun(tmp_path, *COMMANDS[name])
-        time.sleep(delay_s)
-        process.send_signal(number)
-        said, _ = process.communicate(timeout=60)
-        assert "Traceback" not in said, (delay_s, said)
-        assert process.returncode == 128 + number, (delay_s, said)
+        with begun(tmp_path, *COMMANDS[name]) as process:
+            time.sleep(delay_s)
+            process.send_signal(number)
+            assert process.ended() == 128 + number, (delay_s, process.said)
+        assert "Traceback" not in process.said, (delay_s, process.said)
 
 
 @pytest.mark.slow
 def test_many_signals_end_a_program_at_once_and_without_a_traceback(tmp_path):
     for pause_s in (0.0, 0.01, 0.1):
-        process = begun(tmp_path, *COMMANDS["real time"])
-        time.sleep(1.0)
-        while process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            time.sleep(pause_s)
-        said, _ = process.communicate(timeout=60)
-        assert "Traceback" not in said, said
-        assert process.returncode == EXIT_INTERRUPTED
+        with begun(tmp_path, *COMMANDS["real time"]) as process:
+            time.sleep(1.0)
+            for _ in range(10_000):
+                if process.poll() is not None:
+                    break
+                process.send_signal(signal.SIGINT)
+                time.sleep(pause_s)
+            assert process.ended() == EXIT_INTERRUPTED
+        assert "Traceback" not in process.said, process.said
 
 
 def test_a_program_that_is_to_ignore_a_signal_ignores_it():

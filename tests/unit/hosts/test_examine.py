@@ -1,9 +1,7 @@
 """A whole stage is examined before the doors open."""
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ from lss_motion.cli.main import main
 from lss_motion.stage.hosts.examine import rows_of
 from lss_motion.stage.hosts.messages import FigureFinding, FigureStatus, Findings, hash_of
 from lss_motion.stage.hosts.remote_figures import RemoteFigure
+from tests.programs import ProgramBeside, command
 
 ROOT = Path(__file__).parents[3]
 STAGE = """\
@@ -43,14 +42,12 @@ def stage(tmp_path):
 @pytest.mark.slow
 def test_doctor_asks_every_figure(stage, capsys, monkeypatch):
     monkeypatch.setattr("lss_motion.stage.hosts.examine.WAIT_S", 15.0)
-    program = "import sys; from lss_motion.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    words = [sys.executable, "-c", program, "serve", str(stage), "--figure", "right"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-    ) as other:
+    words = command("serve", stage, "--figure", "right")
+    with ProgramBeside(words, stdin=subprocess.PIPE) as other:
         code = main(["doctor", "--stage", str(stage), "--json"])
-        out, _ = other.communicate(b"q\n", timeout=20)
+        other.stdin.write(b"q\n")
+        other.stdin.flush()
+        other.ended()
     rows = json.loads(capsys.readouterr().out)["rows"]
     found = {(row["figure"], row["subject"]): row["level"] for row in rows}
     assert code == 4  # Nothing answers for `middle`.
@@ -59,7 +56,7 @@ def test_doctor_asks_every_figure(stage, capsys, monkeypatch):
         assert {found[name, what] for what in ("network", "version", "robot file")} == {"ok"}
         assert (name, "disk") in found
         assert (name, "robot") in found
-    assert b"examines this computer" in out
+    assert "examines this computer" in other.said
 
 
 def seat(**changes):

@@ -91,7 +91,8 @@ def test_an_alert_is_posted_until_it_is_taken():
 
     asyncio.run(send())
     server.shutdown()
-    thread.join()
+    thread.join(10.0)
+    assert not thread.is_alive()
     server.server_close()
     assert [one["text"] for one in got] == ["elbow hot", "elbow hot", "port lost"]
     assert len(said) == 1
