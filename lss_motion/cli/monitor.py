@@ -193,7 +193,7 @@ def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Ta
     """Return the targets with the firmware that they report; the codes of a status depend on it."""
     from msgspec.structs import replace
 
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.handshake import Item
     from lss_motion.protocol.constants import Family
     from lss_motion.protocol.framing import Command
 

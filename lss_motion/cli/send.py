@@ -85,7 +85,7 @@ def add_to(commands: Commands) -> None:
 def _send(arguments: argparse.Namespace) -> int:
     from lss_motion.maintenance.single_command import judge
     from lss_motion.playing.connection import SIMULATED, connect
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.handshake import Item
     from lss_motion.robot.model import Bus
 
     robot, joint = _robot(arguments), None
@@ -135,7 +135,7 @@ def _servo(
     """
     from lss_motion.maintenance.single_command import HARMLESS
     from lss_motion.playing.discovery import family_of
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.handshake import Item
     from lss_motion.protocol.codec import Language
     from lss_motion.protocol.constants import BROADCAST_ID, Family
     from lss_motion.protocol.framing import Command
@@ -165,7 +165,7 @@ def _servo(
 def _standing(connection: Connection, joint: Joint, command: Command) -> Standing | None:
     """Return where the servo of a joint stands, if the command is a move to an angle."""
     from lss_motion.maintenance.single_command import TO_ANGLE, read_standing, standing_queries
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.handshake import Item
     from lss_motion.protocol.framing import Command
 
     if command.keyword not in TO_ANGLE:

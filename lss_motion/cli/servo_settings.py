@@ -13,7 +13,7 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
 from lss_motion.maintenance.settings import Target
 from lss_motion.maintenance.survey import doubtful_text, query_each
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import RESET_S, Family
 from lss_motion.protocol.framing import Command

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.run import Result
     from lss_motion.playing.walking.inputs import Gamepad, OperatorInput
     from lss_motion.playing.walking.pilot import Pilot
-    from lss_motion.playing.walking.process import PlannerProcess
+    from lss_motion.playing.walking.planner import PlannerProcess
     from lss_motion.robot.model import Robot
     from lss_motion.show.gait.model import Gait
     from lss_motion.show.gait.stepping import Twist
@@ -281,8 +281,7 @@ def _perform(
     from lss_motion.playing.run import Observer, perform
     from lss_motion.playing.walking.inputs import Gamepad
     from lss_motion.playing.walking.pilot import Pilot
-    from lss_motion.playing.walking.planner import WalkPlanner
-    from lss_motion.playing.walking.process import PlannerProcess
+    from lss_motion.playing.walking.planner import PlannerProcess, WalkPlanner
     from lss_motion.show.gait.model import BodyPose
 
     planner = WalkPlanner(gait, robot, GAIT_TOLERANCE_DEG)

@@ -29,8 +29,7 @@ from lss_motion.maintenance.identify.trials import MotionWindow, PlannedMove, Tr
 from lss_motion.planning.program.reference_grid import DURATION_MAX_MS
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.estimators import LAG_MAX_S
-from lss_motion.playing.player.handshake import SettingsDialogue
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item, SettingsDialogue
 from lss_motion.protocol.codec import language_table, make_command
 from lss_motion.protocol.constants import PULSE_MAX_US, PULSE_MIN_US
 from lss_motion.protocol.framing import Command

@@ -26,8 +26,8 @@ from lss_motion.playing.discovery import (
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
+from lss_motion.playing.player.handshake import Dialogue, Item
 from lss_motion.playing.player.query_tracker import SLOW_TIMEOUT_NS, QueryTracker, SerialLine
-from lss_motion.playing.player.transactions import Dialogue, Item
 from lss_motion.playing.player.unasked import UnaskedWatch, disturbed_text
 from lss_motion.protocol.codec import language_table, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from

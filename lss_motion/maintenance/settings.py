@@ -19,7 +19,7 @@ from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.playing.discovery import family_of
 from lss_motion.playing.player.checks import expected_frame
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.stored_limits import SETTINGS, physical_limits, with_limits
 from lss_motion.protocol.codec import Language, language_table, storable
 from lss_motion.protocol.constants import ID_MAX, Family, Led

@@ -19,8 +19,7 @@
 | `sound_choice.py`   | device and offset; what came of the sounds     | `run`, `cli`             |
 | `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |
 | `replay.py`         | repeats the player's decisions from a log      | `cli.replay`             |
-| `report.py`         | the JSON report of a run                       | `run`, `cli`             |
-| `stage_report.py`   | the report of a stage                          | `run`                    |
+| `report.py`         | the JSON report of a run, or of many shows     | `run`, `cli`             |
 | `truth.py`          | what simulated horns did                       | `run`                    |
 | `robustness.py`     | shows played with deviations                   | `cli.planning`           |
 """

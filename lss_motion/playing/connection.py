@@ -18,8 +18,8 @@ from msgspec.structs import replace
 from lss_motion.errors import BlockedPortError, BusError, InputError, LostPortError
 from lss_motion.playing.discovery import Pause
 from lss_motion.playing.player.checks import check_answers
+from lss_motion.playing.player.handshake import Conversation
 from lss_motion.playing.player.preflight import Examination
-from lss_motion.playing.player.transactions import Conversation
 from lss_motion.playing.runner import D, run
 from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.system.clock import MonotonicClock, VirtualClock
@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.discovery import Unasked
     from lss_motion.playing.player.events import Event
-    from lss_motion.playing.player.handshake import Answers
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.handshake import Answers, Item
     from lss_motion.playing.runner import Controls
     from lss_motion.robot.model import Bus, Joint, Robot
     from lss_motion.sim.bus import SimBus

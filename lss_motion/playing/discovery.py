@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
-from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
 from lss_motion.protocol.constants import (
     BAUD_RATES_BPS,

@@ -20,13 +20,11 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.player import checks, handshake
 from lss_motion.playing.player.events import Event, Faulted, Phase, PhaseEntered, Warned
-from lss_motion.playing.player.handshake import SettingsDialogue
-from lss_motion.playing.player.health import STATUS_TEXTS, turn_text
+from lss_motion.playing.player.handshake import Dialogue, Item, SettingsDialogue
+from lss_motion.playing.player.health import STATUS_TEXTS, Probe, ServoWatch, turn_text
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import health_words
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
-from lss_motion.playing.player.settings_watch import Probe, ServoWatch
-from lss_motion.playing.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command, encode

@@ -23,10 +23,10 @@ from lss_motion.files.texts import known_names
 from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
 from lss_motion.playing.player import handshake
+from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.player.health import turn_text
 from lss_motion.playing.player.player import Player
 from lss_motion.playing.player.repertoire import Repertoire
-from lss_motion.playing.player.transactions import Item
 from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command

@@ -3,16 +3,20 @@
 `make_report` collects the numbers from a player. `write_report` writes them as the JSON object of
 `lss-play --report`. The attributes of the classes here are the keys of that object, in the same
 order; a change of a name or of a meaning needs another `SCHEMA_VERSION`.
+
+`StageReport` is that of a run with many shows: totals, and the last shows one by one. Its size does
+not grow with the run. Who needs every show takes each `events.ShowOver` when it comes.
 """
 
-# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import itertools
 import json
 import math
 import re
+from collections import Counter, deque
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -20,22 +24,24 @@ from msgspec import Struct, to_builtins
 
 from lss_motion.files.output import write_output
 from lss_motion.files.texts import counted
-from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
-from lss_motion.playing.player.due_moves import Statistics
-from lss_motion.playing.player.events import Faulted
+from lss_motion.playing.player.events import Faulted, ShowOver, Warned
+from lss_motion.playing.player.show_clock import Statistics
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.show.splines import polyline
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from lss_motion.planning.program.model import Program
+    from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
+    from lss_motion.playing.player.events import Event, Faulted, ShowSummary
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.sound_choice import SoundReport
 
     Item = TypeVar("Item")
     FloatArray = NDArray[np.float64]
@@ -418,3 +424,111 @@ def write_report(report: Report, path: Path) -> None:
     text = json.dumps(report.to_dict(), indent=1)
     text = _NUMBERS.sub(lambda found: "[" + " ".join(found[1].split()) + "]", text)
     write_output(path, text + "\n")
+
+
+STAGE_SCHEMA_VERSION: Final = 1
+SHOWS_KEPT: Final = 200
+"""So many of the last shows are in the report one by one."""
+WARNINGS_KEPT: Final = 200
+NAMES_MAX: Final = 500
+"""Shows with more names than this are counted together: a stage may be given new ones for ever."""
+OTHER_NAMES: Final = "(others)"
+
+
+@dataclass(slots=True)
+class ShowTotals:
+    """All times that one show was played."""
+
+    plays: int = 0
+    outcomes: Counter[str] = field(default_factory=Counter)
+    lasted_s: float = 0.0
+    """Run time of all of them together."""
+    commands: int = 0
+    missed: int = 0
+    late_max_us: int = 0
+    error_max_deg: float = 0.0
+    error_max_joint: str = ""
+
+    def add(self, one: ShowSummary) -> None:
+        """Count a show that is over."""
+        self.plays += 1
+        self.outcomes[one.outcome] += 1
+        self.lasted_s += s_from_ns(one.ended_ns - one.began_ns)
+        self.commands += one.commands
+        self.missed += one.missed
+        self.late_max_us = max(self.late_max_us, one.late_max_us)
+        for name, joint in one.joints.items():
+            if joint.error_max_deg > self.error_max_deg:
+                self.error_max_deg, self.error_max_joint = joint.error_max_deg, name
+
+
+class StageReport(Struct, frozen=True, kw_only=True):
+    """The numbers of one run with many shows."""
+
+    schema: int = STAGE_SCHEMA_VERSION
+    robot: str
+    simulated: bool
+    outcome: str
+    """`stopped`, `fault` or `lost`."""
+    run_s: float
+    buses: Mapping[str, BusReport]
+    totals: Mapping[str, ShowTotals]
+    """By the name of the show."""
+    last_shows: tuple[ShowSummary, ...]
+    faults: tuple[Faulted, ...]
+    warnings: tuple[str, ...]
+    """The last ones, each once."""
+    sound: SoundReport | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as an object for `json.dumps`."""
+        found: dict[str, Any] = to_builtins(self)
+        for fault in found["faults"]:
+            del fault["type"]
+        return found
+
+
+class Ledger:
+    """Keeps what a report needs, while the events of a run come in."""
+
+    def __init__(self) -> None:
+        self.totals: dict[str, ShowTotals] = {}
+        self.last_shows: deque[ShowSummary] = deque(maxlen=SHOWS_KEPT)
+        self._warnings: dict[str, None] = {}
+
+    def note(self, event: Event) -> None:
+        """Keep what an event tells, if it tells anything."""
+        if isinstance(event, Warned):
+            self._warnings.pop(event.text, None)
+            self._warnings[event.text] = None
+            if len(self._warnings) > WARNINGS_KEPT:
+                del self._warnings[next(iter(self._warnings))]
+        elif isinstance(event, ShowOver):
+            one = event.summary
+            is_known = one.name in self.totals or len(self.totals) < NAMES_MAX
+            name = one.name if is_known else OTHER_NAMES
+            self.totals.setdefault(name, ShowTotals()).add(one)
+            self.last_shows.append(one)
+
+    def report(
+        self,
+        player: Player,
+        *,
+        run_s: float,
+        is_simulated: bool,
+        outcome: str,
+        sound: SoundReport | None,
+    ) -> StageReport:
+        """Return the report of a run that has ended."""
+        return StageReport(
+            robot=player.robot.name,
+            simulated=is_simulated,
+            outcome=outcome,
+            run_s=round(run_s, 3),
+            buses={name: bus_report(player, name, run_s) for name in player.lines},
+            totals=dict(self.totals),
+            last_shows=tuple(self.last_shows),
+            faults=tuple(player.faults),
+            warnings=tuple(self._warnings),
+            sound=sound,
+        )

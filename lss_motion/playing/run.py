@@ -38,11 +38,10 @@ if TYPE_CHECKING:
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.query_choice import Pace
-    from lss_motion.playing.report import Report
+    from lss_motion.playing.report import Ledger, Report, StageReport
     from lss_motion.playing.runner import Controls, Tap
     from lss_motion.playing.sound_choice import SoundReport
     from lss_motion.playing.sounds import SoundDesk
-    from lss_motion.playing.stage_report import Ledger, StageReport
     from lss_motion.playing.truth import Truth
     from lss_motion.robot.model import Robot
     from lss_motion.sim.bus import SimBus
@@ -285,7 +284,7 @@ class _Kept:
         self._ledger: Ledger | None = None
         self._recorder: TruthRecorder | None = None
         if player.repertoire.only is None:
-            from lss_motion.playing.stage_report import Ledger
+            from lss_motion.playing.report import Ledger
 
             self._ledger = Ledger()
         elif simulated is not None:

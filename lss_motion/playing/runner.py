@@ -7,7 +7,7 @@ simpler dialogue) decides everything and does no input or output; it gets the ti
 Threads and processes. `run` uses one thread, that of its caller, and starts none. What may block
 runs in a process of its own, which the loop never waits for: the log file (`playing.log`), the
 functions and sounds of a show (`playing.performer`), the planner of a walk
-(`playing.walking.process`) and the display (`cli.display`). The loop writes to their pipes without
+(`playing.walking.planner`) and the display (`cli.display`). The loop writes to their pipes without
 blocking; what does not fit is dropped, or written later. `lss-motion sim` is a program of its own,
 with its own loop.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.codec import storable
 from lss_motion.protocol.framing import Command
 

@@ -23,8 +23,8 @@ from lss_motion.files.texts import known_names
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.job import Outcome
+from lss_motion.playing.remote.message import plan_hash
 from lss_motion.playing.remote.player_end import LossRule, Steering
-from lss_motion.playing.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog, must_restart
 from lss_motion.stage.model import Signal, TriggerKind
 from lss_motion.stage.running import Options, StageRun

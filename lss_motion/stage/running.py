@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     from lss_motion.playing.log import PortState
     from lss_motion.playing.player.events import Event, PlayerRequest, ShowSummary
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.report import StageReport
     from lss_motion.playing.run import Result
     from lss_motion.playing.runner import Tap
-    from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
     from lss_motion.stage.log import Record

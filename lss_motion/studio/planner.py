@@ -172,8 +172,8 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     from lss_motion.planning.shows import compiled, files_of, load, load_gait
     from lss_motion.planning.summaries import program_lines
     from lss_motion.playing.remote.job import Job
+    from lss_motion.playing.remote.message import plan_hash
     from lss_motion.playing.remote.process import packed
-    from lss_motion.playing.remote.telemetry import plan_hash
     from lss_motion.show.functions import calls_of
     from lss_motion.show.gait import is_gait_file
     from lss_motion.studio.view import view_of
@@ -244,8 +244,8 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
 def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a stage with figures, for the computer that conducts."""
     from lss_motion.planning.shows import files_of
+    from lss_motion.playing.remote.message import plan_hash
     from lss_motion.playing.remote.process import packed
-    from lss_motion.playing.remote.telemetry import plan_hash
     from lss_motion.stage.hosts.plans import planned_stage
     from lss_motion.stage.hosts.serving import conductor_job
 
@@ -290,7 +290,7 @@ def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[s
 
 def _plans(planned: Planned, folder: Path | None) -> dict[str, str]:
     """Return the plan of each show; write the views that are not in the folder yet."""
-    from lss_motion.playing.remote.telemetry import plan_hash
+    from lss_motion.playing.remote.message import plan_hash
 
     plans = {}
     for name, show in planned.shows.items():

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from lss_motion import __version__
 from lss_motion.errors import LssMotionError
 from lss_motion.playing.remote import schema as m
-from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.stage.model import TriggerKind
 from lss_motion.stage.triggers.mqtt import WebHook, discovery
 from lss_motion.stage.triggers.sources import AllowList, Complaints, Gate

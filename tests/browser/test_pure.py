@@ -7,8 +7,8 @@ import json
 import numpy as np
 
 from lss_motion.planning.program.model import Program, Repeat
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.remote.schema import schema
-from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.studio.view_curves import Curve
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.playing.connection import connect, with_port
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus

@@ -13,9 +13,9 @@ from lss_motion.errors import InputError
 from lss_motion.playing.player.following import FollowRule
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.job import Job, play
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.playing.remote.player_end import LossRule, Steering
-from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.playing.run import Observer, perform
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from tests.timed_moves import is_move

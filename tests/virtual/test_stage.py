@@ -21,9 +21,9 @@ from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.job import Job
 from lss_motion.playing.remote.job import play as play_job
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.playing.remote.player_end import Steering
-from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.show.model import Keyframe, Sequence

@@ -13,9 +13,9 @@ from msgspec.structs import replace
 
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.message import Telemetry, plan_hash
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.playing.remote.process import packed, start_process
-from lss_motion.playing.remote.telemetry import Telemetry, plan_hash
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.file import Sync, TimecodeInput
 from lss_motion.stage.job import StageJob, StageSteering, options_of

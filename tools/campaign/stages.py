@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lss_motion.playing.player.player import Player
+    from lss_motion.playing.report import StageReport
     from lss_motion.playing.run import Result
-    from lss_motion.playing.stage_report import StageReport
     from lss_motion.robot.model import Robot
     from lss_motion.stage.check import Planned
 

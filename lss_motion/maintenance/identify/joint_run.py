@@ -28,10 +28,9 @@ from lss_motion.maintenance.identify.trials import (
 )
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.checks import reported_firmware
-from lss_motion.playing.player.health import status_fault
+from lss_motion.playing.player.handshake import Dialogue
+from lss_motion.playing.player.health import ServoWatch, status_fault
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
-from lss_motion.playing.player.settings_watch import ServoWatch
-from lss_motion.playing.player.transactions import Dialogue
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
@@ -43,9 +42,8 @@ if TYPE_CHECKING:
 
     from lss_motion.maintenance.identify.trials import MotionWindow
     from lss_motion.playing.player.events import Event
-    from lss_motion.playing.player.handshake import Answers, SettingsDialogue
-    from lss_motion.playing.player.settings_watch import Probe
-    from lss_motion.playing.player.transactions import Item
+    from lss_motion.playing.player.handshake import Answers, Item, SettingsDialogue
+    from lss_motion.playing.player.health import Probe
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 

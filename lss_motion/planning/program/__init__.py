@@ -1,7 +1,7 @@
 """Compiles a trajectory into a program: which bytes leave on which bus at which instant.
 
   file       what it is                                              who calls it
-  compile    trajectory → program: choice of drives, schedule,       api, cli, player.approach
+  compile    trajectory → program: choice of drives, schedule,       api, cli, player.session
              verification, errors
   splice     extensions of a program that is being played            walking
   drives     timed, streamed, stepped: one interface; `drive: auto`  schedule, compile, player

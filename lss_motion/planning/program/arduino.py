@@ -34,7 +34,7 @@ DURATION_MAX_S: Final = 4_000.0
 """`micros()` of an Arduino begins again after 4,294 s."""
 
 APPROACH_LEAST_MS: Final = 300
-"""As `playing.player.approach.APPROACH_LEAST_S`: a servo that stands in its place may be limp."""
+"""As `playing.player.session.APPROACH_LEAST_S`: a servo that stands in its place may be limp."""
 
 SETTLE_MS: Final = 500
 """Chosen: between the approach and the show, for servos that arrive later than their T."""

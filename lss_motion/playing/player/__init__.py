@@ -20,15 +20,12 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     session         the servos during one run, shared by all phases     phases
     preflight       the dialogue before servos move, also once more     session, hands_on, cli
     checks          what the servos answered, compared with the files   session, preflight, cli
-    handshake       settings, restore, recovery                         session, faults, maintenance
-    transactions    lists of queries and orders on every bus            handshake, connection, cli
-    approach        program from where the robot stands to the start    session
+    handshake       dialogues: settings, restore, recovery              session, connection, cli
     streamer        one program on the show clock                       session
-    show_clock      show time as a function of the run clock            streamer, cues
+    show_clock      show time, the moves due on it, how late they are   streamer, cues, report
     following       keeps a show in step with a leader                  sync, remote
-    due_moves       moves in the order in which they leave, how late    streamer, report
     rate_ramps      moves computed at run time: other rates, off plan   streamer
-    setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
+    servo_model     which moves a servo has lost; its filter in EM0     joint_state, rate_ramps
     joint_state     one joint: sent moves, model, readings              streamer, polling
     estimators      load, play, lag, lost moves of a joint              joint_state
     standing        corrections of a joint at rest                      joint_state
@@ -36,8 +33,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     query_choice    which servo is polled next, and for what            polling
     query_tracker   one line, and the queries in flight on it           all that send
     unasked         what arrives on a bus beyond its queries            session, monitor
-    settings_watch  servos that may have lost their settings            polling, hands_on, identify
-    health          faults found in answers and in missing answers      polling
+    health          faults and restarts, found in answers or silence    polling, hands_on, identify
     faults          steps that are taken about faults                   player
     cues            marks, cues, and waits for sensors                  session, streamer
     events          what happened, as values                            player, cli, runtime

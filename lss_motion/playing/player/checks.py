@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from lss_motion.errors import BusError, InputError, LssMotionError, PlaybackError
 from lss_motion.playing.player.events import Checked, Found, Warned
 from lss_motion.playing.player.handshake import (
+    Item,
     query,
     reported,
     settings_queries,
@@ -23,7 +24,6 @@ from lss_motion.playing.player.handshake import (
     standing_deg,
 )
 from lss_motion.playing.player.health import STATUS_CAUSES, STATUS_TEXTS, hot_text, low_voltage_text
-from lss_motion.playing.player.transactions import Item
 from lss_motion.protocol.codec import language_table, storable, stored_wire
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 QUERIES: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
 """Queries to every servo before anything moves. Without an answer to QD the show does not start. A
 servo that answers QMS and QD but not the others is driven: no document says which family answers
-all. A servo that does not answer the first query counts as silent (`transactions.TRIES`), so that
+all. A servo that does not answer the first query counts as silent (`handshake.TRIES`), so that
 is QMS, which all three documents have."""
 FILTER_QUERIES: Final = ("QFPC", "QIPE")
 """Further queries to streamed servos. IPE makes the filter step by itself (FACTS.md M8); a servo

@@ -22,11 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from lss_motion.playing.player.events import Event
-    from lss_motion.playing.player.handshake import Answers
+    from lss_motion.playing.player.handshake import Answers, Dialogue, Item
     from lss_motion.playing.player.preflight import Preflight
     from lss_motion.playing.player.session import Session
     from lss_motion.playing.player.streamer import Streamer
-    from lss_motion.playing.player.transactions import Dialogue, Item
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.on_fault import Escalations
 

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Final, Literal, Protocol
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.playing.player.approach import approach_s
 from lss_motion.playing.player.events import Phase, PlayerRequest, note_nowhere
+from lss_motion.playing.player.session import approach_s
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 

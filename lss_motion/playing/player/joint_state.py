@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec.structs import replace
@@ -26,8 +25,12 @@ from lss_motion.playing.player.estimators import (
     Swing,
     Trace,
 )
-from lss_motion.playing.player.lost_moves import LostMoveDetector
-from lss_motion.playing.player.setpoints import Setpoints, make_setpoints, step_gain_deg
+from lss_motion.playing.player.servo_model import (
+    LostMoveDetector,
+    Setpoints,
+    make_setpoints,
+    step_gain_deg,
+)
 from lss_motion.playing.player.standing import StandingCorrector
 from lss_motion.protocol.constants import status_from
 from lss_motion.protocol.framing import encode_move
@@ -60,7 +63,9 @@ REST_DEG_S = 1.0
 REST_DEG = 0.5
 """A timed servo at rest is no further than this from its target. Chosen: the braking distance from
 that speed, with room for the error after a lost move."""
-LONGEST_NS = ns_from_s(s_from_ms(DURATION_MAX_MS))
+LEG_MAX_S: Final = s_from_ms(DURATION_MAX_MS)
+"""The longest move."""
+LONGEST_NS = ns_from_s(LEG_MAX_S)
 RECENT_S: Final = (0.0, 0.08, 0.16, 0.25)
 """A horn that lags is still on its way so long after its profile. Chosen: three times the largest
 lag that is corrected, and a ramp between the samples."""
@@ -252,14 +257,11 @@ class JointState:
         elif self.joint.drive == "streamed" and self.guide_ns is None and self.takes_moves:
             self._resend_at(guide_ns=guide_ns)
 
-    def suspend(self) -> None:
-        """Send no move to the servo from now on."""
-        self.is_driven = False
-        self._resend_at()
-
-    def resume(self) -> None:
-        """Send moves to the servo again."""
-        self.is_driven = True
+    def drive(self, *, is_driven: bool) -> None:
+        """Send moves to the servo from now on, or none."""
+        self.is_driven = is_driven
+        if not is_driven:
+            self._resend_at()
 
     def hold_back(self, *, has_missed: bool = False) -> None:
         """Send no move to the servo until `release`: it may have lost its limits, or its turn.
@@ -280,12 +282,8 @@ class JointState:
         """Send `target_deg` again at `resend_ns`; a timed joint then travels at `travel_deg_s`."""
         self._resend_at(deferred=DeferredTarget(resend_ns, target_deg, travel_deg_s))
 
-    def end_guiding(self) -> None:
-        """Send a streamed joint the program's moves again."""
-        self._resend_at()
-
-    def guide_at(self, guide_ns: int) -> None:
-        """Send a streamed joint its next guiding target at `guide_ns`."""
+    def guide_at(self, guide_ns: int | None) -> None:
+        """Send a streamed joint its next guiding target then; None: the program's moves again."""
         self._resend_at(guide_ns=guide_ns)
 
     def report_resends(self, resending: set[str]) -> None:
@@ -307,14 +305,14 @@ class JointState:
     def may_retry(self) -> bool:
         """Count that the servo has lost the move under way; false if that was too often.
 
-        Then it is stuck, or off, and its profile is what its readings say.
+        Then it is stuck, or off, and its profile is what its readings say. A streamed joint is
+        guided to the target: no move is sent again.
         """
         self._retries += 1
-        return self._retries <= RETRIES_MAX
-
-    def count_resent(self) -> None:
-        """Count a move that is sent again because the servo has lost it."""
-        self.resent += 1
+        if self._retries > RETRIES_MAX:
+            return False
+        self.resent += self.joint.drive != "streamed"
+        return True
 
     @property
     def takes_moves(self) -> bool:
@@ -529,7 +527,8 @@ class JointState:
         course_s = read_s - self.lead_s - horn.lag_s
         plain_deg, plain_deg_s = self.profile.at(read_s - self.lead_s)
         lagged_deg, speed_deg_s = self.profile.at(course_s)
-        recent_deg_s = self._recent_deg_s(course_s)
+        # The largest speed of the profile of late, 0 if it rests.
+        recent_deg_s = max([abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S])
         if not (self.standing.is_pushed or self._is_approach):
             error_deg = self.disturbance.error_deg + self.disturbance.offset_deg
             horn.judge_load(error_deg, horn.correction_deg(lagged_deg, self.swing.way), elapsed_s)
@@ -547,10 +546,6 @@ class JointState:
             self.standing.take(self.disturbance.error_deg, read_s, noise_deg)
         if self.setpoints is not None:
             self._correct(lagged_deg, self.swing.way, elapsed_s)
-
-    def _recent_deg_s(self, course_s: float) -> float:
-        """Return the largest speed of the profile of late, 0 if it rests."""
-        return max([abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S])
 
     def may_stand(self, now_s: float) -> bool:
         """Return whether the last move is so long ago that the servo may be at rest."""
@@ -608,21 +603,43 @@ class JointState:
         self._is_correcting = False
         self.standing.await_rest()
 
-    def note_status(self, code: int) -> None:
-        """Note the status that the servo reported; firmware versions number them differently."""
-        self.status = status_from(code, self.joint.model.family, self.firmware)
+    def note_health(self, keyword: str, value: float) -> None:
+        """Keep the status, the highest temperature and current, the lowest voltage."""
+        match keyword:
+            case "Q":  # Firmware versions number them differently.
+                self.status = status_from(int(value), self.joint.model.family, self.firmware)
+            case "QT":
+                self.temperature_max_c = max(value, self.temperature_max_c or value)
+            case "QV":
+                self.voltage_min_v = min(value, self.voltage_min_v or value)
+            case _:
+                self.current_max_a = max(value, self.current_max_a or 0.0)
 
-    def note_temperature(self, temperature_c: float) -> None:
-        """Keep the highest temperature."""
-        self.temperature_max_c = max(temperature_c, self.temperature_max_c or temperature_c)
 
-    def note_voltage(self, voltage_v: float) -> None:
-        """Keep the lowest voltage."""
-        self.voltage_min_v = min(voltage_v, self.voltage_min_v or voltage_v)
+def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
+    """Return `robot` with ranges that include where its servos stand (servo angles).
 
-    def note_current(self, current_a: float) -> None:
-        """Keep the highest current."""
-        self.current_max_a = max(current_a, self.current_max_a or 0.0)
+    A joint without T moves step by step. If it stands outside of its range, it must move back into
+    it at the same slow speed as everything else, not jump. A timed joint goes back into its range
+    with its first move, unless the way is too long for one T.
+    """
+    joints = dict(robot.joints)
+    for name, servo_deg in standing_deg.items():
+        joint = joints[name]
+        here_deg = joint.joint_deg(servo_deg)
+        out_deg = max(joint.position_min_deg - here_deg, here_deg - joint.position_max_deg)
+        if joint.drive != "timed" or out_deg > LEG_MAX_S * approach_deg_s(robot, joint):
+            joints[name] = replace(
+                joint,
+                position_min_deg=min(joint.position_min_deg, here_deg),
+                position_max_deg=max(joint.position_max_deg, here_deg),
+            )
+    return replace(robot, joints=joints)
+
+
+def approach_deg_s(robot: Robot, joint: Joint) -> float:
+    """Return the speed at which a joint moves to where a show starts."""
+    return min(robot.approach_speed_deg_s, joint.speed_max_deg_s)
 
 
 def make_joint_states(
@@ -632,13 +649,12 @@ def make_joint_states(
     origin_s: float,
     *,
     has_feedback: bool,
-    ranges_deg: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> dict[str, JointState]:
     """Return the state of every joint of `program`; its servo stands at `standing_deg`.
 
-    `origin_s` is the instant of show time 0 on the run clock. `ranges_deg`: the own ranges of
-    joints whose ranges in `robot` have room for where they stand.
+    `origin_s` is the instant of show time 0 on the run clock.
     """
+    robot, own_joints = with_room(robot, standing_deg), robot.joints
     joint_states = {}
     for name, plan in profiles(program, robot).items():
         joint, servo_deg = robot.joints[name], standing_deg[name]
@@ -657,7 +673,7 @@ def make_joint_states(
             ),
             limits=limits,
             lead_s=profile_lead_s(joint),
-            range_deg=ranges_deg.get(name, (limits.position_min_deg, limits.position_max_deg)),
+            range_deg=own_joints[name].servo_range_deg,
             origin_s=origin_s,
             identify_command=robot.identify_command(name),
             lost_moves=LostMoveDetector(joint.unit_deg, joint.response.loop_s)

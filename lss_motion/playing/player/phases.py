@@ -27,11 +27,10 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.events import Event, ShowOutcome
-    from lss_motion.playing.player.handshake import Answers
+    from lss_motion.playing.player.handshake import Answers, Dialogue
     from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.player.session import Session
     from lss_motion.playing.player.streamer import Streamer
-    from lss_motion.playing.player.transactions import Dialogue
 
     Outcome = Literal["finished", "stopped", "fault"]
 

@@ -26,13 +26,12 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError, LostPortError
 from lss_motion.files.texts import known_names
 from lss_motion.planning.program.verify import driven
-from lss_motion.playing.player.approach import approach_s
 from lss_motion.playing.player.cues import SensorWatch
 from lss_motion.playing.player.events import Phase, Warned
 from lss_motion.playing.player.faults import Verdict
 from lss_motion.playing.player.phases import DRIVING, ENDING, PLAYING, PhaseMachine
 from lss_motion.playing.player.repertoire import Start
-from lss_motion.playing.player.session import Session
+from lss_motion.playing.player.session import Session, approach_s
 from lss_motion.playing.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 

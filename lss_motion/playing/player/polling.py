@@ -13,8 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.playing.player.cues import SensorWatch
-from lss_motion.playing.player.due_moves import earliest_after
-from lss_motion.playing.player.health import HealthMonitor
+from lss_motion.playing.player.health import HOLD_SIGNS, HealthMonitor, SettingsWatch, Silence
 from lss_motion.playing.player.query_choice import (
     BY_NEED,
     LONGEST_NS,
@@ -24,7 +23,7 @@ from lss_motion.playing.player.query_choice import (
     Pace,
     Polled,
 )
-from lss_motion.playing.player.settings_watch import HOLD_SIGNS, SettingsWatch, Silence
+from lss_motion.playing.player.show_clock import earliest_after
 from lss_motion.protocol.codec import reply_number
 from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.framing import Command, Reply, encode
@@ -34,9 +33,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
     from lss_motion.playing.player.cues import Waiting
+    from lss_motion.playing.player.health import Probe
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.query_tracker import PendingQuery, QueryTracker, SerialLine
-    from lss_motion.playing.player.settings_watch import Probe
 
 
 @lru_cache(maxsize=1024)
@@ -396,7 +395,7 @@ class PollScheduler:
         """Send no move to servos whose answers come twice: each is examined before it moves on."""
         for servo_id in self._trackers[bus].doubled:
             if (state := self._by_address.get((bus, servo_id))) is not None:
-                state.suspend()
+                state.drive(is_driven=False)
                 self.health.doubled.add(state.joint.name)
                 self.health.lost_settings(state, f"{DOUBLED_TEXT} {servo_id}")
         self._trackers[bus].doubled.clear()

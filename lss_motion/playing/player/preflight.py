@@ -5,7 +5,7 @@ bus without checksums a damaged answer can look like a setting. Then it reads th
 where they are needed. If bytes came damaged or twice, it looks for servos that share an id
 (`TwinSearch`): their replies overlap. `Examination` is a preflight that the runner can drive.
 
-The same calls as `transactions.Dialogue`; nothing but queries is sent.
+The same calls as `handshake.Dialogue`; nothing but queries is sent.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import BusError, PlaybackError
 from lss_motion.playing.player import checks
-from lss_motion.playing.player.handshake import query, standing_deg
+from lss_motion.playing.player.handshake import Conversation, Dialogue, Item, query, standing_deg
 from lss_motion.playing.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
-from lss_motion.playing.player.transactions import Conversation, Dialogue, Item
 from lss_motion.protocol.codec import storable
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import Command, encode

@@ -24,10 +24,9 @@ from lss_motion.units import NS_PER_S, ns_from_s
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.playing.player.health import HealthMonitor
+    from lss_motion.playing.player.health import HealthMonitor, SettingsWatch
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
-    from lss_motion.playing.player.settings_watch import SettingsWatch
 
 
 PLACE_KEYWORD: Final = "QD"

@@ -17,7 +17,7 @@ from lss_motion.planning.program.line import longest_move
 from lss_motion.planning.program.moves import LATEST_ARRIVAL_S
 from lss_motion.planning.program.streamed import FilterProfile
 from lss_motion.playing.player.joint_state import LONGEST_NS, REST_DEG_S, JointState
-from lss_motion.playing.player.setpoints import closing_deg
+from lss_motion.playing.player.servo_model import closing_deg
 from lss_motion.protocol.framing import encode_move
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns
 
@@ -205,7 +205,7 @@ def guide(
     off_deg = from_deg - profile.value(step - 1)
     is_near = abs(off_deg) <= ON_PROGRAM_RATIO * limits.tolerance_deg
     if is_even and is_near and state.active is not None:
-        state.end_guiding()
+        state.guide_at(None)
         state.send_active(line, 0.0, now_ns)
         return
     target_deg = to_deg

@@ -335,8 +335,7 @@ class PresentShow:
     def begin(self, start_ns: int) -> Streamer:
         """Return the streamer of the show, which starts at `start_ns`."""
         self.streamer = self._session.begin(self.program, self._from_s, start_ns)
-        if self.is_open:
-            self.streamer.keep_open()
+        self.streamer.is_open = self.is_open
         return self.streamer
 
     def note_wait(self, streamer: Streamer) -> list[Waited]:
@@ -383,7 +382,7 @@ class PresentShow:
         """Accept no more extensions."""
         self.is_open = False
         if self.streamer is not None:
-            self.streamer.close()
+            self.streamer.is_open = False
 
 
 def summary_of(

@@ -25,9 +25,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.planning.program.line import longest_move
-from lss_motion.playing.player.approach import with_room
 from lss_motion.playing.player.cues import Waiting
-from lss_motion.playing.player.due_moves import Due, DueMoves, Statistics, earliest_after
 from lss_motion.playing.player.joint_state import LONGEST_NS, JointState, make_joint_states
 from lss_motion.playing.player.polling import LATE_NS, PollScheduler
 from lss_motion.playing.player.query_choice import BY_NEED
@@ -45,7 +43,13 @@ from lss_motion.playing.player.rate_ramps import (
     send_deferred,
     spot_move,
 )
-from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.playing.player.show_clock import (
+    Due,
+    DueMoves,
+    ShowClock,
+    Statistics,
+    earliest_after,
+)
 from lss_motion.units import (
     NS_PER_MS,
     US_PER_S,
@@ -60,9 +64,9 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Move, Program
     from lss_motion.planning.program.splice import Extension
+    from lss_motion.playing.player.health import Probe
     from lss_motion.playing.player.query_choice import Pace
     from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
-    from lss_motion.playing.player.settings_watch import Probe
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot
 
@@ -120,7 +124,7 @@ class Streamer:
         `beside`: streamers of other joints, without `is_polling`, whose servos are polled here.
         """
         self.is_open = False
-        """While it is open, the show does not end with the program, which may still be extended."""
+        """While its owner keeps it open, the show does not end with the program: it is extended."""
         self._program = program
         self._lines = lines
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
@@ -130,11 +134,10 @@ class Streamer:
         origin_s = s_from_ns(start_ns) - begin_s
         self.joint_states = make_joint_states(
             program,
-            with_room(robot, standing_deg),
+            robot,
             standing_deg,
             origin_s,
             has_feedback=has_feedback,
-            ranges_deg={name: robot.joints[name].servo_range_deg for name in standing_deg},
         )
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.joint_states.values()}
         self._resending: set[str] = set()
@@ -184,7 +187,7 @@ class Streamer:
     def _suspend_lent(self) -> None:
         for name in (name for other in self._beside for name in other.joint_states):
             if name in self.joint_states:
-                self.joint_states[name].suspend()
+                self.joint_states[name].drive(is_driven=False)
 
     def all_states(self) -> dict[str, JointState]:
         """Return the states of all joints; a streamer beside this one comes first."""
@@ -266,14 +269,6 @@ class Streamer:
             and all(t.is_at_rest(now_ns) for t in self.joint_states.values())
         )
 
-    def keep_open(self) -> None:
-        """Accept extensions: the show does not end with the program until `close`."""
-        self.is_open = True
-
-    def close(self) -> None:
-        """Accept no more extensions: the show ends with the program."""
-        self.is_open = False
-
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Replace what is due from the splice of `extension` on; False if it is too late."""
         from_s = s_from_us(extension.from_us)
@@ -302,10 +297,7 @@ class Streamer:
     def leave_out(self, names: Iterable[str]) -> None:
         """Send no move to the joints `names`, and moves to all others."""
         for name, state in self.joint_states.items():
-            if name in names:
-                state.suspend()
-            else:
-                state.resume()
+            state.drive(is_driven=name not in names)
         self._suspend_lent()
         for other in self._beside:
             other.leave_out(names)
@@ -570,7 +562,6 @@ class Streamer:
         if state.joint.drive == "streamed":
             state.guide_at(now_ns)
             return
-        state.count_resent()
         line = self._lines[state.joint.bus]
         rejoin(state, line, self.clock, self._program.within, now_ns)
 

@@ -26,9 +26,9 @@ from lss_motion.planning.program.model import Program
 from lss_motion.playing.connection import with_port
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.job import Job
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.remote.player_end import LossRule
 from lss_motion.playing.remote.process import packed, start_process
-from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.robot.model import Robot
 from lss_motion.system.closing import Closing
 from lss_motion.system.messages import Kind, PipeClosedError

@@ -9,17 +9,16 @@ from msgspec import Struct, field
 from lss_motion.errors import LssMotionError
 from lss_motion.planning.program.model import Program
 from lss_motion.playing.player.following import Following, FollowRule, require_can_follow
+from lss_motion.playing.remote.message import duration_of, plan_hash
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.schema import Ended, MarkInfo, Started
-from lss_motion.playing.remote.telemetry import duration_of, plan_hash
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.playing.remote.operator_end import Operator
-    from lss_motion.playing.report import Report
-    from lss_motion.playing.stage_report import StageReport
+    from lss_motion.playing.report import Report, StageReport
     from lss_motion.robot.model import Robot
 
 

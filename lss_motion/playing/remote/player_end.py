@@ -19,7 +19,7 @@ from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.show_clock import Leg
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
-from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.protocol.constants import Led
 from lss_motion.system.messages import Kind
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns

@@ -2,7 +2,7 @@
 
 An operation is a wish of a client, an event is what happened, and both are JSON objects whose key
 `op` or `event` says which. `schema` returns their JSON Schema. Telemetry is binary
-(`telemetry`). Angles are joint degrees, times seconds of show time.
+(`message.Telemetry`). Angles are joint degrees, times seconds of show time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from msgspec import Meta
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import message as base
 from lss_motion.playing.remote import stage_messages as stage
-from lss_motion.playing.remote.telemetry import LAYOUT
+from lss_motion.playing.remote.message import LAYOUT
 
 OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""

@@ -4,8 +4,7 @@
 file          what it is                                          called by
 ============  ==================================================  ==============================
 `inputs`      keys and gamepad → commanded velocity of the body   `cli.walk`
-`planner`     commanded velocity → extension of the program       `process`, `cli.walk`
-`process`     the planner in a process of its own                 `cli.walk`
+`planner`     commanded velocity → extension of the program       `cli.walk`
 `pilot`       requests plans in time and gives them to the player `cli.walk`, between two commands
 ============  ==================================================  ==============================
 

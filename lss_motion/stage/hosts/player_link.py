@@ -20,9 +20,9 @@ from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.following import SLOW_RATE, FollowRule
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.job import Job
+from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.remote.player_end import LossRule
 from lss_motion.playing.remote.process import begin_process, give_job, packed
-from lss_motion.playing.remote.telemetry import Telemetry
 from lss_motion.playing.sound_choice import SoundChoice
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.hosts.figure import KEPT_PLANS, PlayerReport

@@ -15,7 +15,7 @@ from lss_motion.errors import (
     BusError,
 )
 from lss_motion.playing import connection as connections
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.framing import Command
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.faults import Fault, FaultKind

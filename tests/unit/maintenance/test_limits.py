@@ -9,7 +9,7 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance.settings import ServoBackup, robot_from_backup
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import ask_limits, connect
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot

@@ -11,7 +11,7 @@ from lss_motion.cli.monitor import rendered, sparkline
 from lss_motion.maintenance.monitor import Alarms, ServoState, Thresholds, Watch
 from lss_motion.maintenance.settings import Target
 from lss_motion.playing import connection as connections
-from lss_motion.playing.player.transactions import Item
+from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.runner import run
 from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.framing import Command

@@ -4,7 +4,7 @@ import pytest
 
 from lss_motion.planning.program.verify import profiles
 from lss_motion.playing.player import handshake
-from lss_motion.playing.player.approach import approach
+from lss_motion.playing.player.session import approach
 from lss_motion.protocol.framing import encode
 from lss_motion.robot.servo_models import SERVO_MODELS
 

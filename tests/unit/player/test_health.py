@@ -4,7 +4,6 @@ import re
 
 import pytest
 
-from lss_motion.playing.player.approach import approach
 from lss_motion.playing.player.health import (
     SILENT_QUERIES,
     STATUS_CAUSES,
@@ -12,6 +11,7 @@ from lss_motion.playing.player.health import (
     status_fault,
 )
 from lss_motion.playing.player.joint_state import Observation, make_joint_states
+from lss_motion.playing.player.session import approach
 from lss_motion.protocol.constants import (
     PRO_STATUS_FIRMWARE,
     STATUS_CODES,

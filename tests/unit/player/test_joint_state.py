@@ -20,12 +20,16 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program.moves import nearest_wire
 from lss_motion.planning.program.reference_grid import servo_limits
-from lss_motion.playing.player.due_moves import MISSED_NS, Statistics
 from lss_motion.playing.player.estimators import DEAD_S, POINTS_MAX, Trace
 from lss_motion.playing.player.joint_state import REST_DEG_S
 from lss_motion.playing.player.query_tracker import SerialLine
-from lss_motion.playing.player.setpoints import CLOSING_RATIO, STEP_OFFSETS, Setpoints, closing_deg
-from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.playing.player.servo_model import (
+    CLOSING_RATIO,
+    STEP_OFFSETS,
+    Setpoints,
+    closing_deg,
+)
+from lss_motion.playing.player.show_clock import MISSED_NS, ShowClock, Statistics
 from lss_motion.robot.model import Bus
 from lss_motion.robot.servo_models import SERVO_MODELS
 from tests.filters import FILTER_S, felt, staircase
@@ -171,7 +175,7 @@ def test_a_target_is_corrected_and_within_the_range(kit, line):
 
 def test_a_joint_that_is_not_driven_is_sent_nothing(kit, line):
     state = timed(kit, travel(40.0))
-    state.suspend()
+    state.drive(is_driven=False)
     state.send(line, 40.0, 1.0, 0)
     assert (line.take(), state.last_arrival_ns) == (b"", None)
 
@@ -238,7 +242,7 @@ def test_off_the_program_one_that_is_streamed_and_driven_is_led_and_none_is_owed
     state.leave_program(7)
     state.leave_program(9)
     assert state.resend_ns == 7
-    state.suspend()
+    state.drive(is_driven=False)
     state.leave_program(9)
     assert state.resend_ns is None
     state = timed(kit, travel(40.0))

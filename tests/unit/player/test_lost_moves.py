@@ -1,4 +1,4 @@
-"""Tests of `playing.player.lost_moves`: which of the last moves a servo has missed, by its horn."""
+"""Which of the last moves a servo has missed, by its horn."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from lss_motion.playing.player.lost_moves import (
+from lss_motion.playing.player.servo_model import (
     MISMATCHES_MAX,
     OTHERS_MAX,
     PROMPT_LEAST,

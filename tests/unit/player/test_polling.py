@@ -12,8 +12,7 @@ from msgspec.structs import replace
 
 from lss_motion.planning.trajectory.model import WaitPoint
 from lss_motion.playing.player.cues import POLL_PERIOD_NS, Waiting
-from lss_motion.playing.player.health import SILENT_QUERIES
-from lss_motion.playing.player.lost_moves import PROMPT_LEAST
+from lss_motion.playing.player.health import READ_BACK_NS, SILENT_QUERIES, Probe
 from lss_motion.playing.player.polling import (
     BACKLOG_BYTES,
     LATE_NS,
@@ -30,7 +29,7 @@ from lss_motion.playing.player.query_choice import (
     VISIT_NS,
 )
 from lss_motion.playing.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker, SerialLine
-from lss_motion.playing.player.settings_watch import READ_BACK_NS, Probe
+from lss_motion.playing.player.servo_model import PROMPT_LEAST
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor

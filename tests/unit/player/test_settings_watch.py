@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.playing.player.settings_watch import (
+from lss_motion.playing.player.health import (
     HOLD_SIGNS,
     READ_BACK_NS,
     Probe,

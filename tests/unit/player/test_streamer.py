@@ -23,11 +23,10 @@ from lss_motion.planning.program.splice import Extension
 from lss_motion.planning.program.verify import profiles
 from lss_motion.planning.trajectory.model import WaitPoint
 from lss_motion.playing.player import rate_ramps
-from lss_motion.playing.player.due_moves import EARLY_MAX_US, DueMoves
 from lss_motion.playing.player.joint_state import RETRIES_MAX
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.playing.player.rate_ramps import JOIN_S, guide, on_time_s, send_deferred
-from lss_motion.playing.player.show_clock import ShowClock
+from lss_motion.playing.player.show_clock import EARLY_MAX_US, DueMoves, ShowClock
 from lss_motion.playing.player.streamer import ARRIVAL_MAX_S, SETTLE_S, Streamer
 from lss_motion.protocol.framing import Reply
 from lss_motion.robot.model import Bus, Sensor
@@ -196,7 +195,7 @@ def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
     assert not stage.streamer.is_finished(stage.now_ns)
     assert not stage.streamer.is_finished(START_NS + round(1e9 * (END_S + SETTLE_S)) - 1)
     assert stage.streamer.is_finished(START_NS + round(1e9 * (END_S + SETTLE_S)))
-    stage.streamer.keep_open()
+    stage.streamer.is_open = True
     assert not stage.streamer.is_finished(START_NS + 10 * S)
 
 
@@ -472,7 +471,7 @@ def test_a_rate_that_is_set_during_a_wait_holds_after_it(kit):
 
 def test_what_is_not_due_yet_may_be_replaced(kit):
     stage = Stage(kit)
-    stage.streamer.keep_open()
+    stage.streamer.is_open = True
     stage.run(0.5)
     moves = (move(1.0, 40.0), move(1.5, 60.0))
     whole = replace(stage.program, moves=(*THERE_AND_BACK[:1], *moves))
@@ -490,7 +489,7 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
     stage.run(2.6)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.1, 1.0, 1.5])
     assert stage.off_deg() < 0.1
-    stage.streamer.close()
+    stage.streamer.is_open = False
     assert not stage.streamer.is_finished(stage.now_ns)
     stage.run(3.0 + SETTLE_S)
     assert stage.streamer.is_finished(stage.now_ns)

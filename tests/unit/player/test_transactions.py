@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
+from lss_motion.playing.player.handshake import AGREE_TRIES, TRIES, Dialogue, Item
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
-from lss_motion.playing.player.transactions import AGREE_TRIES, TRIES, Dialogue, Item
 from lss_motion.protocol.framing import Command, Reply
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import schema as m
-from lss_motion.playing.remote.telemetry import Telemetry
+from lss_motion.playing.remote.message import Telemetry
 
 OPERATIONS = [
     m.Go(id=1),

@@ -11,8 +11,13 @@ from msgspec.structs import replace
 from lss_motion.errors import PlanningError
 from lss_motion.planning import shows
 from lss_motion.planning.program.move_table import MoveTable
-from lss_motion.playing.walking.planner import PlanRequest, WalkPlanner
-from lss_motion.playing.walking.process import PlannerProcess, packed, unpacked
+from lss_motion.playing.walking.planner import (
+    PlannerProcess,
+    PlanRequest,
+    WalkPlanner,
+    packed,
+    unpacked,
+)
 from lss_motion.show.gait.model import BodyPose
 from lss_motion.show.gait.steering import slowed_to_limits
 from lss_motion.show.gait.stepping import STILL, Twist
