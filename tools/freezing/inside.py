@@ -100,14 +100,13 @@ def planner_in_process() -> Iterator[None]:
     """Let the planner of a walk plan here, and always take `PLANNING_S`."""
     from local_planner import LocalPlanner
 
-    from lss_motion.playing.walking import process
-    from lss_motion.playing.walking.planner import WalkPlanner
+    from lss_motion.playing.walking import planner
 
     class InProcess(LocalPlanner):
         planning_s = PLANNING_S
 
         def __init__(self, *arguments: Any) -> None:  # noqa: ANN401
-            super().__init__(WalkPlanner(*arguments), lambda: PLANNING_S)
+            super().__init__(planner.WalkPlanner(*arguments), lambda: PLANNING_S)
             self._ends = os.pipe()
 
         def fileno(self) -> int:
@@ -120,7 +119,7 @@ def planner_in_process() -> Iterator[None]:
             for end in self._ends:
                 os.close(end)
 
-    with patch.object(process, "PlannerProcess", InProcess):
+    with patch.object(planner, "PlannerProcess", InProcess):
         yield
 
 
