@@ -231,7 +231,7 @@ WIDE_IN: Final = 26.0
 """A longer show has a wider picture."""
 
 LATE_BARS_US: Final = tuple(1 << power for power in range(3, 13))
-"""Bars that every picture has, as `playing.player.due_moves` counts them: to 4 ms, so that no bar
+"""Bars that every picture has, as `playing.player.show_clock` counts them: to 4 ms, so that no bar
 fills the picture."""
 LINES_LEAST: Final = 3
 """Room for so many buses: the bar of one does not fill the picture."""

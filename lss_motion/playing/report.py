@@ -8,6 +8,7 @@ order; a change of a name or of a meaning needs another `SCHEMA_VERSION`.
 not grow with the run. Who needs every show takes each `events.ShowOver` when it comes.
 """
 
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import itertools
@@ -24,24 +25,23 @@ from msgspec import Struct, to_builtins
 
 from lss_motion.files.output import write_output
 from lss_motion.files.texts import counted
-from lss_motion.playing.player.events import Faulted, ShowOver, Warned
+from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
+from lss_motion.playing.player.events import Faulted, ShowOver, ShowSummary, Warned
 from lss_motion.playing.player.show_clock import Statistics
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.show.splines import polyline
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from lss_motion.planning.program.model import Program
-    from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
-    from lss_motion.playing.player.events import Event, Faulted, ShowSummary
+    from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
-    from lss_motion.playing.sound_choice import SoundReport
 
     Item = TypeVar("Item")
     FloatArray = NDArray[np.float64]
