@@ -2,8 +2,8 @@
 
 A show comes from anywhere, and a function can do whatever its user can. So a person sees which
 functions of which files would run, and agrees, before any of them is imported. The answer is kept
-in the user's state folder with a hash of the show, of the functions that it calls and of the files
-that hold them; a change of any of them asks again.
+in the user's state folder with a hash of the show, of the functions that it calls and of the bytes
+of their modules; a change of any of them asks again. No other bytes are imported then.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from lss_motion.show.functions import Call
+    from lss_motion.show.functions import Call, ModuleSource
     from lss_motion.show.model import Cue
 
 
@@ -34,19 +34,24 @@ KEPT_MAX: Final = 1000
 """Answers that are kept, the newest. Chosen: years of shows."""
 
 
-def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:
-    """Return whether the functions of the show at `path` may be called; ask if it is not known.
+def agreed_modules(
+    path: Path, cues: Sequence[Cue], *, is_allowed: bool
+) -> tuple[ModuleSource, ...] | None:
+    """Return the modules of the show at `path` that may be run; ask if it is not known. None: no.
 
     Raises `InputError` where a person must be asked, and there is no terminal to answer on.
     """
     from lss_motion.cli.terminal import is_at_keyboard
 
     calls = calls_of(cues)
+    modules = tuple(
+        {(one.folder, one.name): one for call in calls for one in call.modules}.values()
+    )
     if not calls or is_allowed:
-        return True
+        return modules
     digest = _digest(path, calls)
     if digest in _kept():
-        return True
+        return modules
     if not is_at_keyboard():
         raise InputError(
             f"calls {counted(calls, 'Python function')} on this computer "
@@ -58,19 +63,20 @@ def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:
     for call in calls:
         put(f"  {call.text}", sys.stderr)
     if not agrees("allow it, until a file of these changes?", sys.stderr):
-        return False
+        return None
     _keep(path, digest)
-    return True
+    return modules
 
 
 def _digest(path: Path, calls: Sequence[Call]) -> str:
-    """Return the hash of the show, of the names of its functions, and of their files."""
+    """Return the hash of the show, of the names of its functions, and of their modules."""
     digest = hashlib.sha256(json.dumps([str(path.resolve())]).encode())
-    files = {path.resolve()} | {file.resolve() for call in calls for file in call.files}
+    installed = {call.installed for call in calls if call.installed}
+    contents = {str(file): read_data(file) for file in {path.resolve(), *installed}}
+    contents |= {source.path: source.data for call in calls for source in call.modules}
     digest.update(json.dumps(sorted(call.run for call in calls)).encode())
-    for file in sorted(files):
-        content = hashlib.sha256(read_data(file)).hexdigest()
-        digest.update(json.dumps([str(file), content]).encode())
+    for name, data in sorted(contents.items()):
+        digest.update(json.dumps([name, hashlib.sha256(data).hexdigest()]).encode())
     return digest.hexdigest()
 
 

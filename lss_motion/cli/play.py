@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
 from lss_motion.cli.commands import Parser, add_command, add_version, prepared
-from lss_motion.cli.consent import may_call
+from lss_motion.cli.consent import agreed_modules
 from lss_motion.cli.dialog import Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put, say
 from lss_motion.cli.options import OPTIONS, UNLIMITED_HELP, add_options, number_from
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.run import Result
     from lss_motion.playing.sound_choice import SoundChoice, SoundReport
     from lss_motion.robot.model import Robot
+    from lss_motion.show.functions import ModuleSource
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
 
@@ -175,10 +176,10 @@ def play(arguments: argparse.Namespace) -> int:
         for line in [] if arguments.quiet else program_lines(show, is_whole=arguments.all):
             say(line)
         return EXIT_FINISHED
-    # In virtual time no function is called.
-    if not arguments.virtual and not may_call(
-        arguments.file, show.program.cues, is_allowed=arguments.allow_run
-    ):
+    modules: tuple[ModuleSource, ...] | None = ()
+    if not arguments.virtual:  # In virtual time no function is called.
+        modules = agreed_modules(arguments.file, show.program.cues, is_allowed=arguments.allow_run)
+    if modules is None:
         put("no: nothing was played", sys.stderr)
         return EXIT_INTERRUPTED
     is_asked = not arguments.virtual and must_ask(arguments, robot)
@@ -186,7 +187,7 @@ def play(arguments: argparse.Namespace) -> int:
     learning = Learning(robot, show.program.start_deg, is_kept=is_real)
     code = None
     if not arguments.careful:
-        code = _play(arguments, show, robot, learning, is_asked=is_asked)
+        code = _play(arguments, show, robot, learning, modules, is_asked=is_asked)
     if code is None:
         joints = show.program.start_deg
         print_line = discard if arguments.quiet else put
@@ -194,7 +195,9 @@ def play(arguments: argparse.Namespace) -> int:
         given = (arguments, robot, joints, learning, print_line)
         if code := careful_run(*given, faults=faults, deviation=deviation):
             return code
-        code = _play(arguments, show, robot, learning, is_asked=is_asked, rate=CAREFUL_RATE)
+        code = _play(
+            arguments, show, robot, learning, modules, is_asked=is_asked, rate=CAREFUL_RATE
+        )
     assert code is not None, "it is offered once"
     return code
 
@@ -204,6 +207,7 @@ def _play(
     show: Show,
     robot: Robot,
     learning: Learning,
+    modules: Sequence[ModuleSource],
     *,
     is_asked: bool,
     rate: float | None = None,
@@ -240,6 +244,7 @@ def _play(
             print_line,
             terminal,
             problems,
+            modules,
             is_asked=is_asked,
             offer=offer,
         )
@@ -294,13 +299,14 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
             raise InputError(f"--from: {error}") from None
 
 
-def _perform(
+def _perform(  # noqa: PLR0913  (what one run needs)
     arguments: argparse.Namespace,
     show: Show,
     robot: Robot,
     print_line: Callable[[str], None],
     terminal: Terminal,
     problems: list[str],
+    modules: Sequence[ModuleSource],
     *,
     is_asked: bool,
     offer: str,
@@ -352,6 +358,7 @@ def _perform(
             is_real_time=arguments.real_time,
             must_ask=is_asked,
             may_run=True,
+            modules=modules,
             sound=terminal.sound,
         )
         if link.is_over and result.error is None and result.report.outcome == "stopped":

@@ -15,6 +15,7 @@
 | `runner.py`         | the loop; threads, processes and waits         | `run`, `connection`      |
 | `performer.py`      | functions and sounds of a show: the pipes      | `run`                    |
 | `performer_process` | the process that calls and plays them          | `performer`              |
+| `show_modules.py`   | their modules, from the bytes agreed to        | `performer_process`      |
 | `sounds.py`         | sounds of a show on an open stream             | `run`                    |
 | `sound_choice.py`   | device and offset; what came of the sounds     | `run`, `cli`             |
 | `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |

@@ -30,14 +30,15 @@ from lss_motion.playing.performer_process import (
     SoundsPlaying,
 )
 from lss_motion.playing.player.events import CueReached, Warned
-from lss_motion.show.functions import function_problem
+from lss_motion.show.functions import calls_of, function_problem
 from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from types import TracebackType
 
     from lss_motion.playing.player.events import Event
+    from lss_motion.show.functions import ModuleSource
     from lss_motion.show.model import Cue
 
 START_S: Final = 10.0
@@ -58,8 +59,13 @@ class Performer:
     Raises `InputError` for a function that does not exist or is not imported in `START_S`.
     """
 
-    def __init__(self, cues: Collection[Cue]) -> None:
-        functions = tuple({(cue.run, cue.folder) for cue in cues if cue.run})
+    def __init__(
+        self, cues: Collection[Cue], modules: Sequence[ModuleSource] | None = None
+    ) -> None:
+        """`modules`: what a person has agreed to; None: what lies beside the show now."""
+        functions = tuple(dict.fromkeys((cue.run, cue.folder) for cue in cues if cue.run))
+        if modules is None:
+            modules = [one for call in calls_of(cues) for one in call.modules]
         self.lost: list[Cue] = []
         """The first cues that did not fit into the pipe, up to `LOST_MAX`."""
         self._lost_count = 0
@@ -81,7 +87,7 @@ class Performer:
             outbox_max_bytes=HELD_MAX_BYTES,
         )
         os.close(guard_fd)
-        self._child.send(LoadFunctions(functions))
+        self._child.send(LoadFunctions(functions, tuple(modules)))
         if problem := self._problem():
             self._end(0.0)
             raise InputError(problem)
@@ -190,12 +196,13 @@ def performing(
     *,
     is_virtual: bool,
     has_stream: bool = False,
+    modules: Sequence[ModuleSource] | None = None,
 ) -> Iterator[Callable[[Event], None]]:
     """Yield an event handler that starts functions and sounds, then calls `tell`.
 
     In virtual time none is started: an hour of sounds would play at once. With `has_stream` the
-    sounds are played elsewhere (`playing.sounds`). Raises `InputError` for a function that does
-    not exist.
+    sounds are played elsewhere (`playing.sounds`). `modules`: see `Performer`. Raises `InputError`
+    for a function that does not exist.
     """
     if has_stream:
         cues = [cue for cue in cues if cue.run]
@@ -204,7 +211,7 @@ def performing(
     if is_virtual or not any(cue.run or cue.sound for cue in cues):
         yield tell
         return
-    performer = Performer(cues)
+    performer = Performer(cues, modules)
 
     def warn() -> None:
         for text in performer.take_warnings():

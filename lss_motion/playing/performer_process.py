@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING, Any, Final, TextIO
 from msgspec import Struct
 
 from lss_motion.errors import InputError
+from lss_motion.playing.show_modules import ShowModules
+from lss_motion.show.functions import ModuleSource  # noqa: TC001  (msgspec reads it)
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import serve, wait_for
 
@@ -55,18 +57,15 @@ def sound_player() -> tuple[str, ...] | None:
     return next((words for words in SOUND_PLAYERS if shutil.which(words[0])), None)
 
 
-def load_function(run: str, folder: str) -> Callable[[float], Any]:
+def load_function(run: str) -> Callable[[float], Any]:
     """Return the function `module:function`; raises `InputError` if there is none."""
     module_name, _, name = run.partition(":")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    importlib.invalidate_caches()
     try:
         function = getattr(importlib.import_module(module_name), name)
     except (Exception, SystemExit) as error:
         raise InputError(
             f"run: {run!r} cannot be used: {type(error).__name__}: {error}. The module is searched "
-            f"in {folder}, then among the installed ones"
+            f"beside its show, then among the installed ones"
         ) from error
     if not callable(function):
         raise InputError(f"run: {run!r} is no function")
@@ -75,9 +74,10 @@ def load_function(run: str, folder: str) -> Callable[[float], Any]:
 
 
 class LoadFunctions(Struct, frozen=True, tag=True):
-    """The functions of the show, each with the folder of its module."""
+    """The functions of the show, each with the folder of its module, and the modules there."""
 
     functions: tuple[tuple[str, str], ...]
+    modules: tuple[ModuleSource, ...]
 
 
 class PerformCue(Struct, frozen=True, tag=True):
@@ -205,8 +205,7 @@ def main(pipe: MessagePipe, player_pid: str, guard_fd: str) -> int:
     typed: TypedPipe[PerformerOrder] = TypedPipe(pipe, PerformerOrder)
     reports = Reports(typed)
     printed = _captured(reports)
-    # Only sources are run: a person has agreed to what stands in them, not in stored bytecode.
-    sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
+    sys.dont_write_bytecode = True
     stage = _Functions(reports)
     try:
         serve(typed, stage.obey)
@@ -229,18 +228,23 @@ class _Functions:
         self.sounds = Sounds(reports)
         self._reports = reports
         self._functions: dict[tuple[str, str], Callable[[float], Any]] = {}
+        self._modules = ShowModules(())
 
     def obey(self, order: PerformerOrder) -> None:
         """Carry out an order; raises `InputError` for a function that cannot be loaded."""
         if isinstance(order, LoadFunctions):
+            self._modules = ShowModules(order.modules)
+            sys.meta_path.insert(0, self._modules)
             for run, folder in order.functions:
                 self._reports.send(Loading(run))
-                self._functions[run, folder] = load_function(run, folder)
+                self._modules.enter(folder)
+                self._functions[run, folder] = load_function(run)
             self._reports.send(Loaded())
             return
         if order.sound:
             self.sounds.play(order.sound)
         if order.run:
+            self._modules.enter(order.folder)
             try:
                 self._functions[order.run, order.folder](order.at_s)
             except (Exception, SystemExit) as error:  # noqa: BLE001  a function may raise anything

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.sounds import SoundDesk
     from lss_motion.playing.truth import Truth
     from lss_motion.robot.model import Robot
+    from lss_motion.show.functions import ModuleSource
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
@@ -104,6 +105,8 @@ class RunOptions(TypedDict, total=False):
     must_ask: bool
     may_run: bool
     """The functions of the shows may be called."""
+    modules: Sequence[ModuleSource] | None
+    """Their modules, as a person has agreed to them; None: as they lie beside the shows now."""
     is_forced: bool
     is_real_time: bool
     """See `real_time`."""
@@ -139,6 +142,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
     is_open: bool = False,
     must_ask: bool = False,
     may_run: bool = False,
+    modules: Sequence[ModuleSource] | None = None,
     is_forced: bool = False,
     is_real_time: bool = False,
     pace: Pace | None = BY_NEED,
@@ -174,7 +178,9 @@ def perform(  # noqa: PLR0913  (the options of one run)
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
-            effects(player, note, sound or SoundChoice(), is_virtual=is_virtual) as performers,
+            effects(
+                player, note, sound or SoundChoice(), is_virtual=is_virtual, modules=modules
+            ) as performers,
         ):
             on_event, desk = performers
             for text in refused:
@@ -234,7 +240,12 @@ def drive(
 
 @contextlib.contextmanager
 def effects(
-    player: Player, note: Noting, choice: SoundChoice, *, is_virtual: bool
+    player: Player,
+    note: Noting,
+    choice: SoundChoice,
+    *,
+    is_virtual: bool,
+    modules: Sequence[ModuleSource] | None = None,
 ) -> Iterator[tuple[Callable[[Event], None], SoundDesk | None]]:
     """Yield the event handler that starts functions, and what plays the sounds of the show.
 
@@ -254,7 +265,9 @@ def effects(
         if any(cue.run or cue.sound for cue in program.cues):
             from lss_motion.playing.performer import performing
 
-            performed = performing(program.cues, note, is_virtual=is_virtual, has_stream=has_stream)
+            performed = performing(
+                program.cues, note, is_virtual=is_virtual, has_stream=has_stream, modules=modules
+            )
             on_event = stack.enter_context(performed)
         yield on_event, desk
 

@@ -1,7 +1,8 @@
 """The Python functions that a show names: found and described without running any of them.
 
-A module is only looked up and parsed. `function_files` lists the files that a person agrees to when
-a show may call its functions.
+A module is only looked up and parsed. `modules_beside` reads what lies beside a show and is run for
+a function: a person agrees to these bytes, and no others are imported (`playing.show_modules`). A
+module of Python's own library is never searched beside a show.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import importlib
+import sys
 from collections import Counter
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
@@ -28,16 +30,36 @@ if TYPE_CHECKING:
 
     from lss_motion.show.model import Cue
 
+SOURCE: Final = ".py"
 DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"})
 """A module that uses one of these, or a star import, can have names that its source lacks."""
 
 
+class ModuleSource(Struct, frozen=True):
+    """A module beside a show, as it was read. That of a package without a file is empty."""
+
+    folder: str
+    name: str
+    path: str
+    data: bytes
+    is_package: bool
+
+
 class Call(Struct, frozen=True):
-    """A function of a show, the files that are run for it, and how often it is called."""
+    """A function of a show, what is run for it, and how often it is called."""
 
     run: str
-    files: tuple[Path, ...]
+    modules: tuple[ModuleSource, ...]
+    """What lies beside the show."""
+    installed: Path | None
+    """The file of a function that is installed."""
     count: int
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that are run for it."""
+        own = [Path(source.path) for source in self.modules if source.data]
+        return [*own, *([self.installed] if self.installed else [])]
 
     @property
     def text(self) -> str:
@@ -50,10 +72,19 @@ class Call(Struct, frozen=True):
 def calls_of(cues: Iterable[Cue]) -> list[Call]:
     """Return the functions that are called; a loop that repeats them counts once."""
     counts = Counter((cue.run, cue.folder) for cue in cues if cue.run)
-    return [
-        Call(run, tuple(function_files(run, folder)), count)
-        for (run, folder), count in counts.items()
-    ]
+    calls = []
+    for (run, folder), count in counts.items():
+        modules = modules_beside(run, folder)
+        installed = None if modules else _installed(run.partition(":")[0])
+        calls.append(Call(run, modules, installed, count))
+    return calls
+
+
+def _installed(module_name: str) -> Path | None:
+    """Return the file of an installed module."""
+    spec = _found(module_name, "")
+    origin = None if spec is None or spec.origin is None else Path(spec.origin)
+    return origin if origin is not None and origin.is_file() else None
 
 
 def call_lines(cues: Iterable[Cue]) -> list[str]:
@@ -72,8 +103,12 @@ def function_problem(run: str, folder: str) -> str:
     spec = _found(module_name, folder)
     if spec is None:
         return f"there is no module {module_name!r} in {folder}, nor is one installed"
-    if spec.origin is None or not spec.origin.endswith(".py"):
-        return ""
+    top = module_name.partition(".")[0]
+    if top in sys.stdlib_module_names and PathFinder.find_spec(top, [folder]) is not None:
+        return f"{top!r} is a module of Python; give the one in {folder} another name"
+    if spec.origin is None or not spec.origin.endswith(SOURCE):
+        is_compiled = spec.origin is not None and _found_in(folder, module_name) is not None
+        return f"{spec.origin} is no Python source; install what is compiled" if is_compiled else ""
     try:
         tree = ast.parse(read_data(Path(spec.origin)))
     except InputError as error:
@@ -87,30 +122,33 @@ def function_problem(run: str, folder: str) -> str:
     return f"{spec.origin} has no function {name!r}; {known_names(name, functions)}"
 
 
-def function_files(run: str, folder: str) -> list[Path]:
-    """Return the files that are run for `module:function`, sorted: of its module and packages.
+def modules_beside(run: str, folder: str) -> tuple[ModuleSource, ...]:
+    """Return the modules in `folder` that are run for `module:function`, by name.
 
-    Of a module in `folder` also those that it imports from there, as far as its source names them.
+    They are those that it imports from there, as far as sources name them, and their packages.
     """
     name = run.partition(":")[0]
     pending = [name, *_packages_of(name)]
-    files: set[Path] = set()
+    found: dict[str, ModuleSource] = {}
     seen: set[str] = set()
     while pending:
         module_name = pending.pop()
         if module_name in seen:
             continue
         seen.add(module_name)
-        spec = _found(module_name, folder) if name.startswith(module_name) else None
-        spec = spec or _found_in(folder, module_name)
-        if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        spec = _found_in(folder, module_name)
+        if spec is None:
             continue
-        path = Path(spec.origin)
-        files.add(path)
-        if path.suffix == ".py" and path.is_relative_to(folder):
-            for imported in _imports(path, spec):
+        if spec.origin is None:
+            inner = list(spec.submodule_search_locations or ())
+            found[module_name] = ModuleSource(folder, module_name, inner[0], b"", is_package=True)
+        elif spec.origin.endswith(SOURCE):
+            data = read_data(Path(spec.origin))
+            is_package = spec.submodule_search_locations is not None
+            found[module_name] = ModuleSource(folder, module_name, spec.origin, data, is_package)
+            for imported in _imports(data, spec):
                 pending += [imported, *_packages_of(imported)]
-    return sorted(files)
+    return tuple(found[name] for name in sorted(found))
 
 
 def _packages_of(module_name: str) -> list[str]:
@@ -119,10 +157,10 @@ def _packages_of(module_name: str) -> list[str]:
     return [".".join(parts[:count]) for count in range(1, len(parts))]
 
 
-def _imports(path: Path, spec: ModuleSpec) -> Iterator[str]:
+def _imports(data: bytes, spec: ModuleSpec) -> Iterator[str]:
     """Yield every module that the source of a module names; some may be names inside of one."""
     try:
-        tree = ast.parse(read_data(path))
+        tree = ast.parse(data)
     except (SyntaxError, ValueError, RecursionError):  # It cannot be run either.
         return
     package = spec.name if spec.submodule_search_locations is not None else spec.parent or ""
@@ -143,19 +181,29 @@ def _found(module_name: str, folder: str) -> ModuleSpec | None:
 
     No package is imported for it, as `find_spec` would do.
     """
-    importlib.invalidate_caches()
-    top = module_name.partition(".")[0]
-    if PathFinder.find_spec(top, [folder]) is not None:
-        return _found_in(folder, module_name)
-    spec = None
-    with contextlib.suppress(ValueError):  # Raised for a loaded module without a spec.
-        spec = find_spec(top)
-    return _below(spec, module_name)
+    spec = _found_in(folder, module_name)
+    return spec or _below(_installed_spec(module_name.partition(".")[0]), module_name)
 
 
 def _found_in(folder: str, module_name: str) -> ModuleSpec | None:
+    """Return the location of a module in a folder, where its first package is in there.
+
+    A folder without `__init__.py` is a package only where no installed one has its name.
+    """
+    importlib.invalidate_caches()
     top = module_name.partition(".")[0]
-    return _below(PathFinder.find_spec(top, [folder]), module_name) if top else None
+    if not top or not folder or top in sys.stdlib_module_names:
+        return None
+    spec = PathFinder.find_spec(top, [folder])
+    if spec is not None and spec.origin is None and _installed_spec(top) is not None:
+        return None
+    return _below(spec, module_name)
+
+
+def _installed_spec(top: str) -> ModuleSpec | None:
+    with contextlib.suppress(ValueError):  # Raised for a loaded module without a spec.
+        return find_spec(top) if top else None
+    return None
 
 
 def _below(spec: ModuleSpec | None, module_name: str) -> ModuleSpec | None:

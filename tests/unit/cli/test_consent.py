@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.cli import play
+from lss_motion.cli import consent, play
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, InputError
 from lss_motion.playing import api
@@ -178,19 +178,71 @@ def test_stored_bytecode_is_not_run_in_place_of_the_source(folder):
 @pytest.mark.slow
 def test_modules_of_the_current_folder_replace_no_installed_ones(folder):
     """The processes of a show import the standard library, whatever lies beside the show."""
-    for name in ("json", "signal", "contextlib"):
+    for name in ("json", "signal", "contextlib", "bisect", "email"):
         Path(f"{name}.py").write_text("from pathlib import Path\nPath('stolen').touch()\n")
-    Path("show.yaml").write_text(SHOW.replace('run: "effects:fog"', "say: hello"))
+    Path("effects.py").write_text("import urllib.request\n" + EFFECTS)
     code = "import sys; sys.path.pop(0); from lss_motion.cli.play import main; main(sys.argv[1:])"
     done = subprocess.run(
-        [sys.executable, "-c", code, "show.yaml", "--log", "a.log"],
+        [sys.executable, "-c", code, "show.yaml", "--log", "a.log", "--allow-run"],
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, "PYTHONPATH": str(Path(api.__file__).parents[1])},
     )
     assert done.returncode == 0, done.stderr
+    assert ran(folder) == {"imported", "called"}
     assert not Path("stolen").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["effects.py", "helper.py"])
+def test_what_is_exchanged_after_a_person_has_agreed_is_not_run(name, folder, at_keyboard):
+    """A symbolic link that leads elsewhere by the time of the import, as a file that is written."""
+    text = Path(name).read_text()
+    Path("good").write_text(text)
+    Path("evil").write_text("from pathlib import Path\nPath('evil_ran').touch()\n" + text)
+    Path(name).unlink()
+    Path(name).symlink_to("good")
+    at_keyboard("y\n")
+    asked = consent.agrees
+
+    def agree_then_exchange(*words):
+        answer = asked(*words)
+        Path(name).unlink()
+        Path(name).symlink_to("evil")
+        return answer
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(consent, "agrees", agree_then_exchange)
+        assert played() == EXIT_FINISHED
+    assert ran(folder) == {"imported", "called"}
+    assert not Path("evil_ran").exists()
+    at_keyboard("n\n")
+    assert played() == EXIT_INTERRUPTED  # It is another file now.
+
+
+@pytest.mark.slow
+def test_a_module_that_no_statement_names_is_not_imported(folder, capfd):
+    Path("hidden.py").write_text("from pathlib import Path\nPath('hidden_ran').touch()\n")
+    load = "    import importlib; importlib.import_module('hid' + 'den')\n"
+    Path("effects.py").write_text("def fog(at_s):\n" + load)
+    assert play.main(["show.yaml", "--allow-run"]) == EXIT_FINISHED
+    assert not Path("hidden_ran").exists()
+    assert "hidden lies beside the show" in capfd.readouterr().out
+
+
+@pytest.mark.slow
+def test_shows_of_two_folders_have_modules_of_their_own(folder):
+    """Both name theirs alike."""
+    Path("other").mkdir()
+    for name in ("robot.yaml", "show.yaml", "effects.py", "helper.py"):
+        Path("other", name).write_text(Path(name).read_text())
+    Path("list.yaml").write_text(
+        "sequence: list\nrobot: robot.yaml\nplay: [{file: show.yaml}, {file: other/show.yaml}]\n"
+    )
+    assert play.main(["list.yaml", "--quiet", "--allow-run"]) == EXIT_FINISHED
+    assert ran(folder) == {"imported", "called"}
+    assert ran(folder / "other") == {"imported", "called"}
 
 
 @pytest.mark.slow
