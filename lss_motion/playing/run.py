@@ -178,11 +178,9 @@ def perform(  # noqa: PLR0913  (the options of one run)
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
-            effects(
-                player, note, sound or SoundChoice(), is_virtual=is_virtual, modules=modules
-            ) as performers,
+            effects(player, note, sound or SoundChoice(), modules, is_virtual=is_virtual) as begun,
         ):
-            on_event, desk = performers
+            on_event, desk = begun
             for text in refused:
                 on_event(Warned(text))
             turns = kept.turns
@@ -243,9 +241,9 @@ def effects(
     player: Player,
     note: Noting,
     choice: SoundChoice,
+    modules: Sequence[ModuleSource] | None = None,
     *,
     is_virtual: bool,
-    modules: Sequence[ModuleSource] | None = None,
 ) -> Iterator[tuple[Callable[[Event], None], SoundDesk | None]]:
     """Yield the event handler that starts functions, and what plays the sounds of the show.
 
