@@ -25,7 +25,7 @@ from lss_motion.files.texts import known_names
 from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import CueTrigger, Signal, StageCue, TriggerKind
-from lss_motion.stage.orders import OrderedShow, ShowInfo, WaitingShow
+from lss_motion.stage.orders import OrderedShow, ShowInfo, WaitingShow, not_played
 from lss_motion.stage.triggering import FREEWHEEL_S, Bags, CronClock, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
@@ -138,6 +138,9 @@ class Director:
 
     # ---- what is to be done
 
+    def _note(self, text: str, kind: str = "note", **fields: object) -> None:
+        self._orders.append(orders.Note(text, kind, fields))
+
     def next_order(self) -> orders.Order | orders.Note | None:
         return self._orders.popleft() if self._orders else None
 
@@ -156,7 +159,7 @@ class Director:
         self._note_rest()
         expressions, text = self.cron.due(wall)
         if text:
-            self._orders.append(orders.Remark(text))
+            self._note(text)
         for expression in expressions:
             self.signal(Signal(kind=TriggerKind.TIME, address=expression), now_ns)
         for cue, start_s in self.timecode.tick(now_ns):
@@ -188,7 +191,7 @@ class Director:
     def get_ready(self, cue: StageCue, now_ns: int) -> None:
         """Let the show of a cue, as of `coming`, wait at its beginning for the timecode."""
         self._now_ns, show = now_ns, cue.shows[0]
-        self._orders.append(orders.Remark(f"waits at the beginning of {show} (cue {cue.name})"))
+        self._note(f"waits at the beginning of {show} (cue {cue.name})")
         self._play(show, cue, waits=True)
 
     def coming(self, now_ns: int) -> tuple[StageCue, float] | None:
@@ -224,12 +227,12 @@ class Director:
     def arm(self, name: str) -> None:
         """Make a cue the next one of GO."""
         self.armed = self._known(name).name
-        self._orders.append(orders.Remark(f"cue {name} is next on GO"))
+        self._note(f"cue {name} is next on GO")
 
     def enable(self, name: str, *, is_enabled: bool) -> None:
         """Let a cue fire, or not."""
         self.enabled[self._known(name).name] = is_enabled
-        self._orders.append(orders.Remark(f"cue {name} {'enabled' if is_enabled else 'disabled'}"))
+        self._note(f"cue {name} {'enabled' if is_enabled else 'disabled'}")
 
     def play(self, show: str, now_ns: int, start: StartMode = "terminate") -> None:
         """Play a show for an operator."""
@@ -295,10 +298,10 @@ class Director:
         self._fired_ns[""] = self._now_ns
         if Reason.GO in self.duty.reasons:
             self.duty.end(Reason.GO)
-            self._orders.append(orders.Remark("GO: the stage begins"))
+            self._note("GO: the stage begins")
         elif name is None and self._is_halted:
             self._is_halted = False
-            self._orders.append(orders.Remark("GO: the stage goes on"))
+            self._note("GO: the stage goes on")
         elif name is None:
             self._refuse("GO", signal, "no cue waits for GO, and none is armed")
         elif self._fire(self._known(name), signal):
@@ -351,11 +354,10 @@ class Director:
             self._orders.append(orders.StopOrder())
         if over.cue is None:
             self._again_ns = now_ns + AGAIN_NS
-            self._orders.append(orders.Remark(f"show {over.show} cannot be played now: {reason}"))
+            self._note(f"show {over.show} cannot be played now: {reason}")
         else:
             self._cool_down(over.cue)
-            refused = orders.ShowRefused(cue=over.cue.name, show=over.show, reason=reason)
-            self._orders.append(refused)
+            self._orders.append(not_played(over.cue, over.show, reason))
         self._settle()
 
     def faulted(self, cause: Cause | None, text: str, now_ns: int) -> None:
@@ -370,7 +372,7 @@ class Director:
         begins_again = self.duty.failed(cause, now_ns)
         kind = "fault" if begins_again else "given_up"
         after = self.duty.reasons[Reason.RETRY if begins_again else Reason.FAULT]
-        self._orders.append(orders.Alert(kind, f"{text}; {after}"))
+        self._note(f"{text}; {after}", "alert", alert=kind)
         self._note_rest()
 
     def relaxed(self, now_ns: int) -> None:
@@ -381,7 +383,7 @@ class Director:
         self._is_limp = True
         self._leaving.clear()
         self.duty.relax(now_ns)
-        self._orders.append(orders.Remark("the servos are limp"))
+        self._note("the servos are limp")
 
     def measured(
         self, temperature_c: float | None, current_a: float | None, now_ns: int, who: str = ""
@@ -391,7 +393,7 @@ class Director:
         self.duty.measured(temperature_c, current_a, now_ns, who)
         if self.duty.rate != self._rate:
             self._rate = self.duty.rate
-            self._orders.append(orders.Remark(f"plays at {self._rate:.0%} of its speed, by budget"))
+            self._note(f"plays at {self._rate:.0%} of its speed, by budget")
         self._settle()
 
     def _taken(self, number: int) -> OrderedShow | None:
@@ -413,11 +415,8 @@ class Director:
 
     def _note_end(self, over: OrderedShow, outcome: orders.Outcome) -> None:
         played_s = s_from_ns(self._now_ns - over.since_ns)
-        self._orders.append(
-            orders.ShowEndNote(
-                number=over.number, show=over.show, outcome=outcome, played_s=played_s
-            )
-        )
+        text = f"show {over.show} {outcome} after {played_s:.1f} s"
+        self._note(text, "ended", show=over.show, outcome=outcome)
         if over.cue is not None and not over.resumes and not over.is_ready:
             self._cool_down(over.cue)
 
@@ -559,10 +558,11 @@ class Director:
         return self._outranked(cue)
 
     def _note_fired(self, cue: StageCue, signal: Signal, what: str) -> None:
-        self._orders.append(orders.CueFired(cue=cue.name, signal=signal.text, what=what))
+        self._note(f"cue {cue.name}: {what} ({signal.text})", "fired", cue=cue.name, what=what)
 
     def _refuse(self, name: str, signal: Signal, reason: str) -> None:
-        self._orders.append(orders.CueRefused(cue=name, signal=signal.text, reason=reason))
+        text = f"cue {name} refused: {reason} ({signal.text})"
+        self._note(text, "refused", cue=name, reason=reason)
 
     # ---- what plays
 
@@ -604,7 +604,7 @@ class Director:
         )
         self._orders.append(order)
         cause = "the rest" if is_rest else "idle" if cue is None else f"cue {cue.name}"
-        self._orders.append(orders.ShowStartNote(number=self._number, show=show, cause=cause))
+        self._note(f"show {show} for {cause}", "started", show=show, cause=cause)
 
     def _stop_all(self) -> None:
         self._leave_all()
@@ -618,7 +618,7 @@ class Director:
     def _drop_waiting(self) -> None:
         """Forget the shows that are queued, and those that were to be resumed."""
         for waiting in (*self.queue, *self.left):
-            self._orders.append(orders.Remark(f"show {waiting.show} of {waiting.cue.name} dropped"))
+            self._note(f"show {waiting.show} of {waiting.cue.name} dropped")
             self._cool_down(waiting.cue)
         self.queue, self.left = [], []
 
@@ -695,4 +695,5 @@ class Director:
         reasons = tuple(map(str, self.duty.reasons))
         if reasons != self._reasons:
             self._reasons = reasons
-            self._orders.append(orders.RestChanged(tuple(self.duty.reasons.values())))
+            why = list(self.duty.reasons.values())
+            self._note(f"rests: {', '.join(why)}" if why else "works", "rest", reasons=why)

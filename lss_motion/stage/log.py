@@ -356,49 +356,32 @@ class Records:
             {"t": wall.isoformat(timespec="milliseconds"), "kind": kind, "text": text, **more}
         )
 
-    def note_order(self, order: orders.Order | orders.Note, now_ns: int) -> None:
-        """Keep what the director has noted or ordered."""
-        match order:
-            case orders.CueFired():
-                about = self._about.setdefault(order.cue, CueState())
-                about.fired, about.fired_ns, about.refused = about.fired + 1, now_ns, ""
-                self.note("fired", order.text, cue=order.cue, what=order.what)
-            case orders.CueRefused():
-                self._count_refusal(order)
-            case orders.ShowRefused():
-                named = {"cue": order.cue, "show": order.show, "reason": order.reason}
-                self.note("not_played", order.text, **named)
-            case orders.ShowStartNote():
-                self.note("started", order.text, show=order.show, cause=order.cause)
-            case orders.ShowEndNote():
-                self.note("ended", order.text, show=order.show, outcome=order.outcome)
-            case orders.RestChanged():
-                self.note("rest", order.text, reasons=list(order.reasons))
-            case orders.Remark():
-                self.note("note", order.text)
-            case orders.Alert():
-                self.note("alert", order.text, alert=order.kind)
-            case _:
-                pass
+    def note_order(self, note: orders.Note, now_ns: int) -> None:
+        """Keep what the director has noted."""
+        if note.kind == "refused":
+            self._count_refusal(note)
+            return
+        if note.kind == "fired":
+            about = self._about.setdefault(note.fields["cue"], CueState())
+            about.fired, about.fired_ns, about.refused = about.fired + 1, now_ns, ""
+        self.note(note.kind, note.text, **note.fields)
 
-    def _count_refusal(self, order: orders.CueRefused) -> None:
+    def _count_refusal(self, note: orders.Note) -> None:
         """Note a refusal; equal ones that follow are only counted for a while."""
-        self._about.setdefault(order.cue, CueState()).refused = order.reason
-        key = (order.cue, order.reason.partition(",")[0])
+        cue, reason = note.fields["cue"], note.fields["reason"]
+        self._about.setdefault(cue, CueState()).refused = reason
+        key = (cue, reason.partition(",")[0])
         if key in self._refusals or len(self._refusals) >= REFUSALS_MAX:
             self._refusals.setdefault(("others", "many refusals"), [0])
             self._refusals.get(key, self._refusals[("others", "many refusals")])[0] += 1
             return
         self._refusals[key] = [0]
-        self.note("refused", order.text, cue=order.cue, reason=order.reason, count=1)
+        self.note("refused", note.text, cue=cue, reason=reason, count=1)
 
     def note_waiting(self, director: Director, now_ns: int) -> None:
         """Note the shows of cues that have fired, but are not played: the stage has ended."""
         for one in (*director.queue, *director.left):
-            reason = "the stage has ended"
-            self.note_order(
-                orders.ShowRefused(cue=one.cue.name, show=one.show, reason=reason), now_ns
-            )
+            self.note_order(orders.not_played(one.cue, one.show, "the stage has ended"), now_ns)
 
     def note_counts(self, now_ns: int, *, is_last: bool = False) -> None:
         """Note how often cues were refused since the first time, once a minute."""

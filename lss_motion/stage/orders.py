@@ -2,14 +2,13 @@
 
 What it has ordered, and what waits, are `OrderedShow` and `WaitingShow`.
 
-Orders are obeyed by whoever has the player (`stage.running`). Notes go to the log and to operators:
-`text` says in a line what happened and why.
+Orders are obeyed by whoever has the player (`stage.running`). Notes go to the log and to operators.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from msgspec import Struct
 
@@ -48,97 +47,23 @@ class ConnectOrder(Struct, frozen=True):
     """Begin a new run: check the servos again, set them up. `Director.connected` answers."""
 
 
-class Alert(Struct, frozen=True):
-    """Send a message to the owner."""
+class Note(Struct, frozen=True):
+    """What has happened and why, for the log and for operators."""
 
+    text: str
     kind: str
-    text: str
+    """With fields: `fired` (cue, what), `refused` (cue, reason), `not_played` (cue, show, reason),
+    `started` (show, cause), `ended` (show, outcome), `rest` (reasons), `alert` (alert), or `note`."""
+    fields: dict[str, Any]
 
 
-# ---- notes
+Order: TypeAlias = PlayOrder | StopOrder | RelaxOrder | ConnectOrder
 
 
-class CueFired(Struct, frozen=True, kw_only=True):
-    """A cue has fired; `what` happens now or, queued, later."""
-
-    cue: str
-    signal: str
-    what: str
-
-    @property
-    def text(self) -> str:
-        return f"cue {self.cue}: {self.what} ({self.signal})"
-
-
-class CueRefused(Struct, frozen=True, kw_only=True):
-    """A cue was triggered and has not fired."""
-
-    cue: str
-    signal: str
-    reason: str
-
-    @property
-    def text(self) -> str:
-        return f"cue {self.cue} refused: {self.reason} ({self.signal})"
-
-
-class ShowRefused(Struct, frozen=True, kw_only=True):
-    """A cue has fired, but the player cannot play its show now."""
-
-    cue: str
-    show: str
-    reason: str
-
-    @property
-    def text(self) -> str:
-        return f"cue {self.cue} refused: {self.reason} (show {self.show})"
-
-
-class ShowStartNote(Struct, frozen=True, kw_only=True):
-    """A show was ordered: for a cue, as the idle show, or as the way to the rest."""
-
-    number: int
-    show: str
-    cause: str
-
-    @property
-    def text(self) -> str:
-        return f"show {self.show} for {self.cause}"
-
-
-class ShowEndNote(Struct, frozen=True, kw_only=True):
-    """A show is over."""
-
-    number: int
-    show: str
-    outcome: Outcome
-    played_s: float
-
-    @property
-    def text(self) -> str:
-        return f"show {self.show} {self.outcome} after {self.played_s:.1f} s"
-
-
-class RestChanged(Struct, frozen=True):
-    """The figure rests for other reasons than before; without reasons it works."""
-
-    reasons: tuple[str, ...]
-
-    @property
-    def text(self) -> str:
-        return f"rests: {', '.join(self.reasons)}" if self.reasons else "works"
-
-
-class Remark(Struct, frozen=True):
-    """Something else that explains what happens later."""
-
-    text: str
-
-
-Note: TypeAlias = (
-    CueFired | CueRefused | ShowRefused | ShowStartNote | ShowEndNote | RestChanged | Remark
-)
-Order: TypeAlias = PlayOrder | StopOrder | RelaxOrder | ConnectOrder | Alert
+def not_played(cue: StageCue, show: str, reason: str) -> Note:
+    """Return the note of a cue that has fired, but whose show is not played."""
+    text = f"cue {cue.name} refused: {reason} (show {show})"
+    return Note(text, "not_played", {"cue": cue.name, "show": show, "reason": reason})
 
 
 LEAST_PRIORITY: Final = -101

@@ -539,7 +539,7 @@ class StageRun:
                     player.finish(now_ns)
                 case orders.ConnectOrder():
                     self._must_connect = True
-                case _:
+                case orders.Note():
                     self._records.note_order(order, self.now_ns)
 
     def _play(self, order: orders.PlayOrder, player: Player | None, now_ns: int) -> None:

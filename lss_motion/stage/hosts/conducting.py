@@ -176,7 +176,7 @@ class ConductedStage:
                     self.conductor.leave(now_ns)
                 case orders.ConnectOrder():
                     self.conductor.connect(now_ns)
-                case _:
+                case orders.Note():
                     self._records.note_order(order, now_ns)
 
     def _play(self, order: orders.PlayOrder) -> None:

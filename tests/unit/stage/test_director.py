@@ -113,7 +113,7 @@ class Desk:
                 case orders.StopOrder():
                     self.leave_all()
                     self.others.append(order)
-                case _ if hasattr(order, "text") and not isinstance(order, orders.Alert):
+                case orders.Note() if order.kind != "alert":
                     self.notes.append(order.text)
                 case _:
                     self.others.append(order)
@@ -475,7 +475,7 @@ def test_after_a_fault_the_stage_begins_again_a_bounded_number_of_times():
     desk.director.faulted(Cause.SILENT, "joint 'jaw' is silent", desk.now_ns)
     desk.playing.clear()
     desk.wait(7200, step_s=60)
-    assert [one.kind for one in desk.others] == ["given_up"]
+    assert [one.fields["alert"] for one in desk.others] == ["given_up"]
     desk.press("x")
     assert "too many faults" in desk.refusal("x")
     desk.director.do("wake", desk.now_ns)
@@ -487,7 +487,7 @@ def test_a_fault_that_does_not_come_back_by_itself_is_not_tried_again():
     desk = Desk(retry=Retry())
     desk.director.faulted(Cause.BLOCKED, "joint 'jaw' is blocked", desk.now_ns)
     desk.wait(3600, step_s=60)
-    assert [one.kind for one in desk.others] == ["given_up"]
+    assert [one.fields["alert"] for one in desk.others] == ["given_up"]
 
 
 def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
