@@ -56,7 +56,7 @@ def _keys(arguments: argparse.Namespace) -> int:
         raise InputError(
             "has no figures: a stage on one computer needs no keys", path=arguments.stage
         )
-    folder = arguments.folder or stage.network.keys or arguments.stage.parent / "keys"
+    folder = arguments.folder or stage.keys or arguments.stage.parent / "keys"
     written = make_keys(stage.name, stage.figures, folder)
     copies = {name: ["ca.pem", f"{name}.pem", f"{name}.key"] for name in stage.figures}
     if arguments.json:
@@ -74,6 +74,6 @@ def _keys(arguments: argparse.Namespace) -> int:
         put(f"{folder} has keys for every figure already")
     for name, files in copies.items():
         put(f"the computer of {name} needs {', '.join(files)}")
-    if stage.network.keys is None:
+    if stage.keys is None:
         put(f"name the folder in {arguments.stage}: network: {{keys: {folder.name}}}")
     return EXIT_FINISHED

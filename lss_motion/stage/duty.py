@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from lss_motion.robot.on_fault import Cause
-    from lss_motion.stage.file import Budget
-    from lss_motion.stage.model import Retry, Stage
+    from lss_motion.stage.file import Budget, Retry
+    from lss_motion.stage.model import Stage
 
 CURRENT_MEAN_S: Final = 60.0
 """A budget of current is one of heat, and a servo warms up within minutes."""
@@ -195,7 +195,7 @@ class Attempts:
         while self._past and now_ns - self._past[0][0] > within_ns:
             self._past.popleft()
         of_kind = sum(past is cause for _, past in self._past)
-        allowed = 0 if cause is None else self.rule.attempts.get(cause, 0)
+        allowed = 0 if cause is None else self.rule.allowed(cause)
         if of_kind >= allowed or len(self._past) >= self.rule.total:
             return None
         self._past.append((now_ns, cause))

@@ -1,7 +1,7 @@
 """The keys of a stage file: names, units, and bounds of each key alone.
 
 `stage.load` checks what several keys mean together; a class of keys that it hands on as it is, is
-also the value: `Sync`, `Budget`, `Alerts`. The descriptions are the
+also the value: `Sync`, `Budget`, `Retry`, `Alerts`, `Network`. The descriptions are the
 reference of the file format.
 """
 
@@ -20,6 +20,7 @@ from lss_motion.files.keys import (
     Version,
     check_text,
 )
+from lss_motion.robot.on_fault import RESUMABLE, Cause
 from lss_motion.show.file import FileName, Reading
 
 StartMode = Literal["only_if_idle", "add", "interrupt", "terminate", "restart", "queue"]
@@ -37,6 +38,12 @@ SPAN_MAX_S: Final = 7 * 86_400.0
 
 RETRIES_MAX: Final = 20
 """Chosen: more attempts after a fault are a loop of falls."""
+
+ATTEMPTS: Final = dict.fromkeys(RESUMABLE, 3) | dict.fromkeys(
+    (Cause.ASTRAY, Cause.STUCK, Cause.LOW_VOLTAGE), 1
+)
+"""Attempts after a fault, by kind; of others none. Chosen: what comes back by itself is tried three
+times. A joint that went astray may have been held by a visitor, once."""
 
 SpanS = Annotated[float, Field(ge=0.0, le=SPAN_MAX_S)]
 Line = Annotated[str, Field(min_length=1, max_length=256), Check(check_text)]
@@ -285,7 +292,7 @@ class DutyEntry(FileModel, title="duty"):
     )
 
 
-class StageFaultEntry(FileModel, title="on_fault of a stage"):
+class Retry(FileModel, title="on_fault of a stage"):
     """How often the stage begins again after a fault that has ended a show."""
 
     attempts: dict[Name, Annotated[int, Field(ge=0, le=RETRIES_MAX)]] = Field(
@@ -307,6 +314,10 @@ class StageFaultEntry(FileModel, title="on_fault of a stage"):
         description="What the other figures do without one; with go_on shows also start "
         "without it.",
     )
+
+    def allowed(self, cause: Cause) -> int:
+        """Return how often it is tried again after faults of a kind."""
+        return self.attempts.get(cause, ATTEMPTS.get(cause, 0))
 
 
 class Alerts(FileModel, title="alerts"):
@@ -346,7 +357,7 @@ class FigureEntry(FileModel, title="figure"):
     listen: ListenEntry | None = Field(default=None, description="Triggers at this figure.")
 
 
-class NetworkEntry(FileModel, title="network"):
+class Network(FileModel, title="network"):
     """How the computers of several figures find and trust each other."""
 
     keys: FileName | None = Field(
@@ -391,8 +402,8 @@ class StageFile(FileModel, title="stage file"):
         default_factory=ListenEntry, description="Where triggers and operators come from."
     )
     duty: DutyEntry = Field(default_factory=DutyEntry, description="When the figure rests.")
-    on_fault: StageFaultEntry = Field(
-        default_factory=StageFaultEntry, description="What follows a fault that has ended a show."
+    on_fault: Retry = Field(
+        default_factory=Retry, description="What follows a fault that has ended a show."
     )
     alerts: Alerts = Field(default_factory=Alerts, description="Where faults are reported.")
     log: LogEntry = Field(default_factory=LogEntry, description="What is kept of each night.")
@@ -404,8 +415,8 @@ class StageFile(FileModel, title="stage file"):
     figures: dict[Name, FigureEntry] = Field(
         default={}, description="Several figures in place of robot, one show for all of them."
     )
-    network: NetworkEntry = Field(
-        default_factory=NetworkEntry, description="How the computers of figures find each other."
+    network: Network = Field(
+        default_factory=Network, description="How the computers of figures find each other."
     )
     conductor: Name | None = Field(
         default=None, description="The figure whose computer leads. Default: the first one."

@@ -20,13 +20,10 @@ from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.model import (
-    ATTEMPTS,
     CueTrigger,
     DutyRule,
     Listen,
     LogRule,
-    Network,
-    Retry,
     Stage,
     StageCue,
     StageFigure,
@@ -48,7 +45,7 @@ if TYPE_CHECKING:
         DutyEntry,
         ListenEntry,
         OnEntry,
-        StageFaultEntry,
+        Retry,
         StageFile,
         Sync,
     )
@@ -165,7 +162,7 @@ class _StageLoader:
             ),
             zone=self._zone(),
             figures=figures,
-            network=self._network(),
+            network=content.network,
             conductor=self._conductor(figures),
         )
 
@@ -223,13 +220,6 @@ class _StageLoader:
         if name is not None and name not in figures and not self._is_left_out("figures"):
             self._note(("conductor",), f"no figure {name!r}; {known_names(name, figures)}")
         return name or next(iter(figures), None)
-
-    def _network(self) -> Network:
-        entry = self.content.network
-        keys = None
-        if entry.keys is not None:
-            keys = self.source.path.parent / entry.keys  # `stage-keys` makes it.
-        return Network(keys=keys, scouting=entry.scouting, freewheel_s=entry.freewheel_s)
 
     def _shows(self) -> Mapping[str, StageShow]:
         shows = {}
@@ -525,21 +515,12 @@ class _StageLoader:
                 found.append((begin, end))
         return found
 
-    def _retry(self, entry: StageFaultEntry) -> Retry:
-        attempts = dict(ATTEMPTS)
-        for name, count in entry.attempts.items():
+    def _retry(self, entry: Retry) -> Retry:
+        for name in entry.attempts:
             if name not in list(Cause):
                 reason = f"no kind of fault {name!r}; {known_names(name, map(str, Cause))}"
                 self._note(("on_fault", "attempts", name), reason)
-            else:
-                attempts[Cause(name)] = count
-        return Retry(
-            attempts=attempts,
-            total=entry.total,
-            within_s=entry.within_s,
-            wait_s=entry.wait_s,
-            others=entry.others,
-        )
+        return entry
 
     def _zone(self) -> tzinfo | None:
         name = self.content.time_zone

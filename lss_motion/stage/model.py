@@ -7,13 +7,11 @@ from files. `Signal` is what arrives from outside and may fire a cue.
 from __future__ import annotations
 
 from enum import StrEnum
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Literal
 
 from msgspec import Struct, field
 
-from lss_motion.robot.on_fault import RESUMABLE, Cause
-from lss_motion.stage.file import Alerts, Budget, Choice, Deed, StartMode, Sync
+from lss_motion.stage.file import Alerts, Budget, Choice, Deed, Network, Retry, StartMode, Sync
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 Side = Literal["below", "above"]
-Others = Literal["go_on", "slow", "hold"]
 
 
 class TriggerKind(StrEnum):
@@ -180,24 +177,6 @@ class DutyRule(Struct, frozen=True, kw_only=True):
     """Local times of day; the second one may be the smaller one: through midnight."""
 
 
-ATTEMPTS: Final[Mapping[Cause, int]] = MappingProxyType(
-    dict.fromkeys(RESUMABLE, 3) | dict.fromkeys((Cause.ASTRAY, Cause.STUCK, Cause.LOW_VOLTAGE), 1)
-)
-"""Attempts after a fault, by kind; of others none. Chosen: what comes back by itself is tried three
-times. A joint that went astray may have been held by a visitor, once."""
-
-
-class Retry(Struct, frozen=True, kw_only=True):
-    """How often the stage begins again after a fault that has ended a show."""
-
-    attempts: Mapping[Cause, int] = field(default_factory=lambda: dict(ATTEMPTS))
-    total: int = 5
-    within_s: float = 3600.0
-    wait_s: float = 10.0
-    others: Others = "hold"
-    """What the other figures do when one has a fault."""
-
-
 class LogRule(Struct, frozen=True, kw_only=True):
     """What is kept of each night, and where."""
 
@@ -214,16 +193,6 @@ class StageFigure(Struct, frozen=True, kw_only=True):
     address: tuple[str, int] | None = None
     listen: Listen | None = None
     line: int | None = None
-
-
-class Network(Struct, frozen=True, kw_only=True):
-    """How the computers of several figures find and trust each other."""
-
-    keys: Path | None = None
-    """Folder of keys."""
-    scouting: str | None = None
-    """Network interface; None: no search."""
-    freewheel_s: float = 2.0
 
 
 class Stage(Struct, frozen=True, kw_only=True):
@@ -249,6 +218,11 @@ class Stage(Struct, frozen=True, kw_only=True):
     network: Network = Network()
     conductor: str | None = None
     """The figure whose computer leads; None without figures."""
+
+    @property
+    def keys(self) -> Path | None:
+        """The folder of keys of the network; `stage-keys` makes it."""
+        return None if self.network.keys is None else self.path.parent / self.network.keys
 
     def cue(self, name: str) -> StageCue | None:
         """Return the cue of that name; None: there is none."""

@@ -53,7 +53,8 @@ class Note(Struct, frozen=True):
     text: str
     kind: str
     """With fields: `fired` (cue, what), `refused` (cue, reason), `not_played` (cue, show, reason),
-    `started` (show, cause), `ended` (show, outcome), `rest` (reasons), `alert` (alert), or `note`."""
+    `started` (show, cause), `ended` (show, outcome), `rest` (reasons), `alert` (alert), `note`.
+    """
     fields: dict[str, Any]
 
 

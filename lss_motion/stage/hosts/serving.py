@@ -77,7 +77,7 @@ def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettin
         conductor=stage.conductor,
         figures=tuple(stage.figures),
         address=f"{host}:{address[1]}",
-        keys=stage.network.keys,
+        keys=stage.keys,
         scouting=stage.network.scouting or "",
         is_trusted=is_trusted,
     )

@@ -15,12 +15,11 @@ from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director, ShowInfo
-from lss_motion.stage.file import Budget
+from lss_motion.stage.file import Budget, Retry
 from lss_motion.stage.model import (
     CueTrigger,
     DutyRule,
     LogRule,
-    Retry,
     Signal,
     Stage,
     StageCue,

@@ -65,8 +65,8 @@ def test_every_value_of_a_stage_is_read(kit):
     assert stage.listen.allow == ("10.0.0.0/8",)
     assert stage.duty.temperature_c == Budget(slow=55, rest=65)
     assert stage.duty.quiet == ((time(23), time(8, 30)),)
-    assert stage.retry.attempts[Cause.SILENT] == 5
-    assert stage.retry.attempts[Cause.RESTARTED] == 3
+    assert stage.retry.allowed(Cause.SILENT) == 5
+    assert stage.retry.allowed(Cause.RESTARTED) == 3
     assert stage.log.folder == kit.folder / "nights"
     assert str(stage.zone) == "Europe/Berlin"
     assert stage.addresses(TriggerKind.SENSOR) == ("door",)
