@@ -76,6 +76,7 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     },
     "other": {
         "pack-report": ("pack", "pack what somebody needs to find a fault of a show"),
+        "mcp": ("agents", "serve shows to a program that writes them; moves nothing"),
         "schema": ("planning", "print the JSON Schema of our files or messages"),
         "reference": ("reference", "print the commands of the servos"),
         "completion": ("completion", "print the script that completes commands with the Tab key"),

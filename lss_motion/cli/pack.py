@@ -115,31 +115,15 @@ def without_secrets(text: str) -> str:
 def _checked(path: Path, robot_path: Path | None) -> tuple[Any, list[Path]]:
     """Return what `check` says, or its error, and the files that were read for it."""
     from lss_motion.files.record import ABSENT, recorded
+    from lss_motion.stage.check import file_as_json
 
     with recorded() as record:
         try:
-            found = _found(path, robot_path)
+            found = file_as_json(path, robot_path)
         except LssMotionError as error:
             found = {"error": type(error).__name__, "text": str(error)}
     read = [Path(name) for name, state in record.states.items() if state != ABSENT]
     return found, [one for one in read if one.is_file()]
-
-
-def _found(path: Path, robot_path: Path | None) -> Any:  # noqa: ANN401  JSON
-    from lss_motion.planning import shows
-    from lss_motion.planning.check_json import robot_as_json, show_as_json
-    from lss_motion.robot.load import load_robot
-    from lss_motion.stage import is_stage_file
-
-    if shows.is_robot_file(path):
-        return robot_as_json(load_robot(path))
-    if is_stage_file(path):
-        from lss_motion.stage.check import plan_stage, stage_as_json
-        from lss_motion.stage.load import load_stage
-
-        stage = load_stage(path)
-        return {"stage": stage.name} if stage.figures else stage_as_json(plan_stage(stage))
-    return show_as_json(shows.prepare(path, robot_path))
 
 
 def _sorted(paths: Iterable[Path]) -> tuple[list[Path], list[tuple[Path, int]]]:

@@ -7,7 +7,7 @@ expect in the evening is a finding: it is printed, and stops nothing.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -257,7 +257,25 @@ def stage_lines(planned: Planned) -> list[str]:
     return lines
 
 
-def stage_as_json(planned: Planned) -> dict[str, object]:
+def file_as_json(path: Path, robot_path: Path | None = None) -> dict[str, Any]:
+    """Return what `check --json` prints of a robot, a show, or a stage of one robot.
+
+    Raises what loading, planning and compiling raise.
+    """
+    from lss_motion.planning.check_json import robot_as_json, show_as_json
+    from lss_motion.robot.load import load_robot
+    from lss_motion.stage import is_stage_file
+    from lss_motion.stage.load import load_stage
+
+    if shows.is_robot_file(path):
+        return robot_as_json(load_robot(path))
+    if is_stage_file(path):
+        stage = load_stage(path)
+        return {"stage": stage.name} if stage.figures else stage_as_json(plan_stage(stage))
+    return show_as_json(shows.prepare(path, robot_path))
+
+
+def stage_as_json(planned: Planned) -> dict[str, Any]:
     """Return the same as JSON."""
     stage = planned.stage
     return {
