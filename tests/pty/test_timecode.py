@@ -305,7 +305,7 @@ def test_timecode_that_ends_beyond_the_end_of_the_show_ends_the_program_with_a_c
 
 
 def test_a_source_that_is_not_there_says_so():
-    with pytest.raises(InputError, match="--follow mtc"):
+    with pytest.raises(InputError, match="mtc cannot be followed"):
         TimecodeSource(read_follow("mtc:no such port"))
     for text in ("vitc", "osc:localhost", "fpp:", "osc:h:99999", "mtc"):
         with pytest.raises(InputError):
