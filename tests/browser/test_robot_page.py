@@ -21,6 +21,7 @@ figure:
 """
 TARGET = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r")
 PROGRESS = "document.querySelector('.robot-progress').textContent"
+SPEED_DEG_S, LATE_S = 30.0, 0.05
 PAN_UP = "[aria-label='Jog pan up while held']"
 WAYS = {
     "the window loses focus": "window.dispatchEvent(new Event('blur'))",
@@ -110,7 +111,9 @@ def check_it_stops(bus, begun, lost):
     assert not targets(bus, 2, begun), "no other joint moves"
     times_ns = np.arange(bus.lines[begun][0], bus.lines[-1][0], 10_000_000)
     pan_deg = bus.horn_deg(times_ns)[:, 0]
-    assert np.diff(pan_deg).min() > -0.2
+    # A command that leaves late finds the horn beyond its target: on a busy machine by 50 ms of
+    # its speed. Without that it never goes back, which `tests/virtual/test_remote_live.py` judges.
+    assert (np.maximum.accumulate(pan_deg) - pan_deg).max() < LATE_S * SPEED_DEG_S
     assert pan_deg[-1] - pan_deg[0] > 3.0
     return pan_deg[-1]
 

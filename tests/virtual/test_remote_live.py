@@ -112,6 +112,7 @@ def test_a_joint_turns_while_the_client_says_so_and_stops_when_it_is_silent(robo
     # Without steps: the speed never falls back between two targets.
     assert speed[steady].min() > 0.3 * SPEED_DEG_S
     assert np.abs(speed).max() < 0.75 * SPEED_DEG_S
+    assert np.diff(b).min() > -0.01, "it never goes back"
     rest_s = times_s[np.abs(b - b[-1]) > 0.5][-1]
     assert rest_s < 1.0 + 0.25 + 0.05 + 0.2, "250 ms, a step, and the way to brake"
     assert np.abs(horn_deg[:, 0]).max() < 0.5
@@ -128,6 +129,7 @@ def test_a_zero_stops_it_at_once_and_targets_lie_close_ahead(robot):
     b = horn_deg[:, 1]
     assert b[-1] == pytest.approx(SPEED_DEG_S * 0.8, rel=0.15)
     assert times_s[np.abs(b - b[-1]) > 0.5][-1] < 1.1
+    assert np.diff(b).min() > -0.01, "it never goes back"
     # If this process were killed, the servo would stop by itself near where it is.
     for at_ns, line in bus.lines:
         if is_move(line) and line.startswith(b"#2D"):
