@@ -229,6 +229,8 @@ class Desk:
         self._require_free()
         reply = self._plan()
         assert self.document is not None
+        if reply.stage is not None and self._options.stage is None:
+            raise InputError(f"this is a stage; {self.document.path.name} runs by lss-motion serve")
         if operation.plan is not None and operation.plan != self.document.plan:
             raise InputError("the plan has changed since then; look at it, then play")
         if reply.functions and not self._options.may_run:
@@ -300,6 +302,7 @@ class Desk:
         options: dict[str, Any],
     ) -> None:
         self._task, self._end_text = task, ""
+        self._hub.telemetry = None
         self._player = PlayerProcess(
             job,
             self._stops,

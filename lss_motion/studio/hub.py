@@ -56,6 +56,8 @@ class Hub:
     def __init__(self, make_welcome: Callable[[Client], m.Welcome]) -> None:
         self.desk: Desk | None = None
         self.on_telemetry: Callable[[bytes], None] = lambda _: None
+        self.telemetry: bytes | None = None
+        """The newest, for a client that comes later: where the robot stands when a show is over."""
         self.clients: dict[int, Client] = {}
         self._make_welcome = make_welcome
         self._next_client = self._next_key = 1
@@ -85,6 +87,8 @@ class Hub:
         if self.desk is not None:
             for text in self.desk.state():
                 client.send(text)
+        if self.telemetry is not None:
+            client.offer(TELEMETRY, self.telemetry)
         self.broadcast(self._links())
         return client
 
@@ -114,6 +118,7 @@ class Hub:
 
     def offer_telemetry(self, frame: bytes) -> None:
         """Give every client the newest telemetry."""
+        self.telemetry = frame
         self.on_telemetry(frame)
         self.offer(TELEMETRY, frame)
 

@@ -26,7 +26,7 @@ from lss_motion.studio.planner import Request
 from lss_motion.studio.planning import Planner
 from lss_motion.studio.stop import StopSettings
 from lss_motion.studio.stopping import StopProcess
-from lss_motion.studio.web import LOOPBACK, Address
+from lss_motion.studio.web import LOOPBACK, Address, own_addresses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -170,8 +170,16 @@ class Studio:
     def _pair(self, role: RoleName) -> m.Pairing:
         urls = tuple(f"{one.origin}/" for one in self.addresses if one.host != LOOPBACK)
         if not urls:
+            own = next((one for one in own_addresses() if one != LOOPBACK), "ADDRESS")
+            is_stage = self.document.newest.kind == "stage"
+            how = (
+                f"write listen: {{http: '{own}:8000'}} into the stage file and start it again"
+                if is_stage
+                else f"end it (Ctrl-C), then: lss-motion studio {self.document.path.name} "
+                f"--listen {own}"
+            )
             raise InputError(
-                "the studio listens at this computer only; start it with --listen ADDRESS"
+                f"a tablet cannot come here yet, since this computer alone is listened to; {how}"
             )
         code = self.make_code(role)
         return m.Pairing(code=code, role=role, valid_s=CODE_VALID_S, urls=urls)

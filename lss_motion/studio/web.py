@@ -65,7 +65,7 @@ def listen(host: str, port: int, *, is_early: bool = False) -> socket.socket:
     try:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
-        raise InputError(f"--listen {host}: no such address; {_own_addresses()}") from None
+        raise InputError(f"--listen {host}: no such address; {_has()}") from None
     own = socket.socket(family, socket.SOCK_STREAM)
     own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if is_early and sys.platform.startswith("linux"):
@@ -87,19 +87,24 @@ def _remedy(error: OSError) -> str:
         case errno.EACCES | errno.EPERM:
             return "ports below 1024 belong to the system; give one above"
         case errno.EADDRNOTAVAIL:
-            return f"is no address of this computer; {_own_addresses()}"
+            return f"is no address of this computer; {_has()}"
         case _:
             return error.strerror or str(error)
 
 
-def _own_addresses() -> str:
-    found = {LOOPBACK}
-    with contextlib.suppress(OSError):
-        found |= {str(one[4][0]) for one in socket.getaddrinfo(socket.gethostname(), None)}
+def _has() -> str:
+    return f"this computer has {', '.join(own_addresses())}"
+
+
+def own_addresses() -> list[str]:
+    """Return the addresses of this computer; that of its way to the network comes first."""
+    found = []
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))  # Sends nothing: it only chooses a route.
-        found.add(str(probe.getsockname()[0]))
-    return f"this computer has {', '.join(sorted(found))}"
+        found.append(str(probe.getsockname()[0]))
+    with contextlib.suppress(OSError):
+        found += sorted(str(one[4][0]) for one in socket.getaddrinfo(socket.gethostname(), None))
+    return list(dict.fromkeys([*found, LOOPBACK]))
 
 
 class Server(uvicorn.Server):

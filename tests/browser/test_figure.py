@@ -168,11 +168,11 @@ def test_an_old_reading_is_not_drawn_as_a_lag(wave, opened):
 
 DEVIATIONS = """
 (async () => {
-  const { Deviations } = await import('/static/figure/panel.js');
+  const { Deviations } = await import('/static/readings.js');
   const deviations = new Deviations();
   const frames = [[10, 12], [40, 12], [50, 51]];
   return frames.map(([predicted, read]) => {
-    deviations.take({ predicted_deg: [predicted], read_deg: [read] });
+    deviations.take({ plan: 'a', predicted_deg: [predicted], read_deg: [read] });
     return predicted + deviations.of(0);
   });
 })()

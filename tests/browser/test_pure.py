@@ -141,3 +141,108 @@ def test_zoom_keeps_the_instant_under_the_pointer_and_the_show_in_sight(wave, op
             })"""
         )
     assert problems == []
+
+
+def test_numbers_strips_and_readings_say_what_is(wave, opened):
+    """No −0.0, nothing outside of its limits by noise, no readings of another show."""
+    with opened(wave) as page:
+        found = page.run(
+            modules("numbers", "pages/robot_joints", "readings")
+            + """.then(([numbers, joints, readings]) => {
+              const trace = new readings.ReadingTrace();
+              for (let n = 0; n < 9; n += 1) trace.push('before', n / 10, [n]);
+              trace.push('now', 0.95, [5]);
+              const away = new readings.Deviations();
+              away.take({ plan: 'before', predicted_deg: [1], read_deg: [4] });
+              away.take({ plan: 'now', predicted_deg: [2], read_deg: [NaN] });
+              const place = (deg) => {
+                const own = joints.placeOnStrip([0, 70], deg);
+                return own.isOutside ? 'outside' : own.isNear ? 'near' : 'within';
+              };
+              return {
+                texts: [-0.04, 0.04, -0.06, -12.34, NaN, null].map((own) => numbers.number(own, 1)),
+                places: [-0.1, 70.2, 35, -3, 73].map(place),
+                kept: trace.segments.flatMap((own) => [...own.times_s.slice(0, own.count)]),
+                away: Number.isNaN(away.of(0)),
+              };
+            })"""
+        )
+    assert found["texts"] == ["0.0", "0.0", "−0.1", "−12.3", "–", "–"]
+    assert found["places"] == ["near", "near", "within", "outside", "outside"]
+    assert found["kept"] == [0.95]
+    assert found["away"] is True
+
+
+def test_the_figure_stands_where_the_robot_was_read(wave, opened):
+    """While a show runs and when it has ended, whatever the cursor shows; who seeks sees it."""
+    with opened(wave) as page:
+        found = page.run(
+            modules("figure/panel")
+            + """.then(([panel]) => {
+              const curve = (deg) => ({ times_s: Float64Array.from([0, 9]),
+                deg: Float32Array.from([deg, deg]), deg_s: Float32Array.from([0, 0]) });
+              const view = { joints: [{ name: 'arm' }], stretched: [], given_up: [],
+                curves: { arm: { plan: curve(10), predicted: curve(10), authored: null } } };
+              const shown = (read, isRunning, isSought) => {
+                const own = panel.posesOf(view, read, { at_s: 3, isRunning, isSought });
+                return [own.solid.arm, own.isRead, own.line?.arm ?? null];
+              };
+              return [shown(null, false, false), shown({ arm: 60 }, true, false),
+                shown({ arm: 60 }, false, false), shown({ arm: 60 }, false, true)];
+            })"""
+        )
+    assert found == [[10, False, None], [60, True, 10], [60, True, None], [10, False, 60]]
+
+
+def test_a_span_leaves_its_row_readable_and_added_keys_stand_on_the_curve(wave, opened):
+    with opened(wave) as page:
+        found = page.run(
+            modules("timeline/draw", "timeline/layout")
+            + """.then(([draw, layout]) => {
+              const curve = { times_s: Float64Array.from([0, 9]), deg: Float32Array.from([20, 20]),
+                deg_s: Float32Array.from([0, 0]) };
+              const key = { at_s: 4, deg: -12, hold_s: 0, is_anchor: false, lane: 0, key: 0 };
+              const view = { view_s: 9, repeat: null, tolerance_deg: 0.2, marks: [], parts: [],
+                events: [], waveforms: [], stretched: [], asked: [], error: {}, line: {}, lanes: [],
+                given_up: [{ joint: 'a', from_s: 0, to_s: 9, at_s: 1, deg: 0.8, text: '' }],
+                joints: [{ name: 'a', range_deg: [-90, 90] }],
+                curves: { a: { plan: curve, predicted: curve, authored: null } }, keys: {} };
+              const seen = { start_s: 0, px_per_s: 50, width_px: 450 };
+              const rows = layout.rowsInSight(layout.layoutOf(view), 0, 300);
+              const drawn = (is_added) => {
+                const fills = [], clips = [], points = [];
+                let alpha = 1;
+                const ctx = new Proxy({}, {
+                  get: (_, name) => name === 'fillRect'
+                    ? (...box) => fills.push([alpha, ...box])
+                    : name === 'rect' ? (...box) => clips.push(box)
+                    : name === 'moveTo' ? (...at) => points.push(at) : () => {},
+                  set: (_, name, value) => {
+                    if (name === 'globalAlpha') alpha = value;
+                    return true;
+                  },
+                });
+                view.keys.a = [{ ...key, is_added }];
+                draw.drawTimeline(ctx, { view, rows, seen, fixed_px: 26, height_px: 300, order: 0,
+                  selection: null, row: 0, palette: { given_up: 'red' },
+                  used_deg: { a: [-12, 20] } });
+                return { fills, clips, points };
+              };
+              const row = rows.find((one) => one.kind === 'joint');
+              const scene = { view, order: 0, used_deg: { a: [-12, 20] } };
+              const scale = draw.scaleOf(scene, row);
+              const diamond = (own) => own.points.filter(([x]) => x === 200)
+                .map(([, y]) => y);
+              const isTall = ([alpha, , , , height]) => alpha > 0.1 && height > 20;
+              return { fills: drawn(false).fills.filter(isTall),
+                strips: drawn(false).clips.map((box) => box[3]), added: diamond(drawn(true)),
+                own: diamond(drawn(false)), wanted: [scale.y(20), scale.y(-12)] };
+            })"""
+        )
+    rows = [box for box in found["fills"] if box[3] > 100 and 40 < box[4] < 100]
+    assert rows == [], "a span of 0.8° fills no row"
+    assert min(found["strips"]) <= 8, "it is hatched in a strip"
+    on_curve, off_curve = found["wanted"]
+    assert any(abs(y - on_curve) < 6 for y in found["added"])
+    assert not any(abs(y - off_curve) < 6 for y in found["added"])
+    assert any(abs(y - off_curve) < 6 for y in found["own"])

@@ -58,7 +58,7 @@ def test_estop_with_the_planner_frozen_then_armed_again(studio, opened, two):
         finally:
             os.kill(planner, signal.SIGCONT)
         page.wait("document.querySelector('.word').textContent === 'emergency stop'")
-        page.wait("document.querySelector('.banner-stop button').disabled === false")
+        page.wait("document.querySelector('.rearm').disabled === false")
         # It stays stopped until a person has said yes to a question.
         page.pointer("mouseReleased", *page.place("#estop"))
         page.click(".word")
@@ -66,7 +66,7 @@ def test_estop_with_the_planner_frozen_then_armed_again(studio, opened, two):
         page.wait("document.querySelector('dialog h2')?.textContent === 'Arm again?'")
         page.click("dialog .primary")
         page.wait("document.body.dataset.latched === 'false'")
-        page.wait("document.querySelector('.banner-stop') === null")
+        page.wait("document.querySelector('.rearm') === null")
 
 
 @pytest.mark.slow
@@ -80,7 +80,6 @@ def test_stop_from_a_second_client_that_does_not_operate(studio, opened, two):
             other.touch(*other.place("#stop"))  # A finger that stays there.
             page.wait("document.body.dataset.latched === 'true'")
             check_safe_end(bus, page)
-            page.wait("document.querySelector('.banner-stop')?.textContent.startsWith('Stopped.')")
             page.wait("document.querySelector('.word').textContent === 'stopped'")
 
 
@@ -93,11 +92,11 @@ def test_estop_with_the_server_frozen_goes_the_other_way(studio, opened, two):
         try:
             press(page, "#estop")
             check_safe_end(bus, page)
-            page.wait("document.querySelector('.banner-bad')?.textContent.includes('No link')")
+            page.wait("document.querySelector('.state').dataset.state === 'no_link'")
         finally:
             os.kill(own.process.pid, signal.SIGCONT)
         page.wait("document.body.dataset.latched === 'true'")
-        page.wait("document.querySelector('.banner-bad') === null")
+        page.wait("document.querySelector('.state').dataset.state !== 'no_link'")
 
 
 @pytest.mark.slow
@@ -106,5 +105,5 @@ def test_a_server_that_is_killed_ends_the_show_by_its_rule(studio, opened, two):
     with studio(show, "--on-operator-lost", "stop") as own, opened(own) as page:
         begin(page)
         os.kill(own.process.pid, signal.SIGKILL)
-        page.wait("document.querySelector('.banner-bad')?.textContent.includes('No link')")
+        page.wait("document.querySelector('.state').dataset.state === 'no_link'")
         check_safe_end(bus, page)

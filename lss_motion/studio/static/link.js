@@ -123,6 +123,7 @@ export class ServerLink {
     const frame = telemetryFrom(data);
     if (frame === null) return;
     this.#store.telemetry.value = frame;
+    this.#store.deviations.take(frame);
     if (frame.show_s >= 0) this.#store.readings.push(frame.plan, frame.show_s, frame.read_deg);
     requestFrame();
   }
@@ -138,6 +139,8 @@ export class ServerLink {
       this.#store.readings.reset(event.joints.length);
       this.#store.telemetry.value = null;
     }
+    // A robot that is moved without a show is no longer where that left it.
+    if (event.event === "robot" && ["connecting", "live"].includes(event.state)) this.#store.telemetry.value = null;
     this.#store.dispatch({ type: "event", event });
     if (event.event === "document") this.#fetchDocument(event);
   }

@@ -1,5 +1,5 @@
 // @ts-check
-/** The horn's readings of the running show over show time, kept for drawing over the plan. Pure. */
+/** The horn's readings of the running show: over show time, and how far from their prediction. Pure. */
 
 const ROOM = 4096;
 const SEGMENTS_MAX = 64;
@@ -84,5 +84,38 @@ export class ReadingTrace {
     own.times_s[own.count] = at_s;
     for (const joint of joints) /** @type {Float32Array} */ (own.deg[joint])[own.count] = /** @type {number} */ (deg[joint]);
     own.count += 1;
+  }
+}
+
+/**
+ * How far each joint was from its prediction when it was read last. A frame repeats readings, which
+ * are old while the joint moves on: drawn as they are, they would look like a lag that is not there.
+ */
+export class Deviations {
+  /** @type {number[]} */
+  #read_deg = [];
+  /** @type {number[]} */
+  #away_deg = [];
+
+  #plan = "";
+
+  /** Take a frame; only a reading that differs is new. Those of another plan are forgotten.
+   * @param {import("./state.js").Telemetry} telemetry */
+  take(telemetry) {
+    if (telemetry.plan !== this.#plan) {
+      this.#plan = telemetry.plan;
+      this.#read_deg = [];
+      this.#away_deg = [];
+    }
+    telemetry.read_deg.forEach((read_deg, joint) => {
+      if (!Number.isFinite(read_deg) || read_deg === this.#read_deg[joint]) return;
+      this.#read_deg[joint] = read_deg;
+      this.#away_deg[joint] = read_deg - (telemetry.predicted_deg[joint] ?? NaN);
+    });
+  }
+
+  /** Return the deviation of a joint; NaN: it was not read yet. @param {number} joint */
+  of(joint) {
+    return this.#away_deg[joint] ?? NaN;
   }
 }

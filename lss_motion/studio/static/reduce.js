@@ -166,7 +166,7 @@ function withTrouble(state, event) {
   let added = [];
   if (event.event === "fault") {
     const who = event.joint === "" ? "" : `${event.joint} `;
-    added = [{ number, kind: "fault", at_s, text: `${who}${event.cause}`, done: STEP_WORDS[event.step] ?? event.step }];
+    added = [{ number, kind: "fault", joint: event.joint, at_s, text: `${who}${event.cause}`, done: STEP_WORDS[event.step] ?? event.step }];
   } else if (event.event === "warned") {
     added = [{ number, kind: "warning", at_s, text: event.text, done: "" }];
   } else if (event.event === "checked") {

@@ -56,7 +56,7 @@ export type Telemetry = {
   plan: string; show_s: number; rate: number;
   planned_deg: Float32Array; predicted_deg: Float32Array; read_deg: Float32Array;
 };
-export type Trouble = { number: number; kind: "fault" | "warning" | "note"; at_s: number | null; text: string; done: string };
+export type Trouble = { number: number; kind: "fault" | "warning" | "note"; joint?: string; at_s: number | null; text: string; done: string };
 export type Document = {
   revision: number; file: string; kind: string; title: string; is_planning: boolean;
   errors: { path: string; line: number | null; text: string }[]; notes: string[];

@@ -46,10 +46,9 @@ export function stateOf(state) {
 /** @param {State} state @returns {[StateName, string]} */
 function nameOf(state) {
   const { link, player, stage, document: own, robot_state } = state;
-  if (link.status === "lost") return ["no_link", link.text];
+  if (link.status === "lost") return ["no_link", `${link.text}. What you see is old; the show goes on as it was started. STOP is still sent, by a way of its own`];
   if (player.state === "gone") return ["player_gone", player.text];
-  if (player.latch === "estop") return ["emergency", "until it is armed again"];
-  if (player.latch === "stop") return player.state === "stopping" ? ["stopping", "brakes"] : ["stopped", "until it is armed again"];
+  if (player.latch !== null) return ofStop(player);
   if (stage !== null) return ofStage(state, stage);
   if (["starting", "ready", "playing", "paused", "stopping"].includes(player.state)) return ofShow(state);
   if (robot_state?.state === "connecting") return ["preparing", "asks the servos"];
@@ -57,6 +56,13 @@ function nameOf(state) {
   if (own !== null && !own.has_planner) return ["planner_gone", "save the file to try again"];
   if (player.state === "ended") return ofEnd(state);
   return ["at_rest", ""];
+}
+
+/** @param {import("./state.js").Player} player @returns {[StateName, string]} */
+function ofStop(player) {
+  if (player.state === "stopping" && player.latch === "stop") return ["stopping", "brakes"];
+  const why = ["", "stopped"].includes(player.text) ? "" : `${player.text}; `;
+  return [player.latch === "estop" ? "emergency" : "stopped", `${why}nothing moves before it is armed again`];
 }
 
 /** @param {State} state @param {import("./state.js").Stage} stage @returns {[StateName, string]} */
@@ -92,7 +98,8 @@ function ofEnd(state) {
   return ["fault", ended?.error || lastFault(state) || player.text];
 }
 
-/** Which joint, which words. @param {State} state */
+/** Which joint, which words, and what was done. @param {State} state */
 function lastFault(state) {
-  return state.trouble.find((one) => one.kind === "fault")?.text ?? "";
+  const found = state.trouble.find((one) => one.kind === "fault");
+  return found === undefined ? "" : `${found.text.replace(/\.$/, "")}: ${found.done}`;
 }

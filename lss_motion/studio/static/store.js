@@ -6,7 +6,7 @@
 
 import { computed, signal } from "./vendor/preact.js";
 import { requestFrame } from "./frames.js";
-import { ReadingTrace } from "./readings.js";
+import { Deviations, ReadingTrace } from "./readings.js";
 import { firstState, reduce } from "./reduce.js";
 
 /** @typedef {import("./state.js").State} State */
@@ -28,7 +28,7 @@ export function createStore() {
    * @template T @param {(state: State) => T} part
    */
   const select = (part) => computed(() => part(state.value));
-  return { state, telemetry, readings: new ReadingTrace(), dispatch, select };
+  return { state, telemetry, readings: new ReadingTrace(), deviations: new Deviations(), dispatch, select };
 }
 
 /** @typedef {ReturnType<typeof createStore>} Store */

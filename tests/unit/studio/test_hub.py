@@ -169,6 +169,9 @@ def test_events_keep_their_order_and_a_client_that_is_too_slow_is_closed(hub):
     got = [asyncio.run(next_of(fast)) for _ in range(3)]
     assert [json.loads(text)["text"] for text in got[:2]] == ["a", "b"]
     assert got[2] == b"new"
+    late = hub.join(Role.VIEW, "x", 0.0)
+    taken(late)
+    assert asyncio.run(next_of(late)) == b"new", "where the robot stands, also when it is over"
     for _ in range(EVENTS_MAX):
         hub.broadcast(m.Warned(text="c"))
         taken(fast)

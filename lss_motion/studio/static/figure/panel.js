@@ -39,34 +39,9 @@ export function posesAt(view, at_s) {
 }
 
 /**
- * How far each joint was from its prediction when it was read last. A frame repeats readings, which
- * are old while the joint moves on: drawn as they are, they would look like a lag that is not there.
- */
-export class Deviations {
-  /** @type {number[]} */
-  #read_deg = [];
-  /** @type {number[]} */
-  #away_deg = [];
-
-  /** Take a frame; only a reading that differs is new. @param {Telemetry} telemetry */
-  take(telemetry) {
-    telemetry.read_deg.forEach((read_deg, joint) => {
-      if (!Number.isFinite(read_deg) || read_deg === this.#read_deg[joint]) return;
-      this.#read_deg[joint] = read_deg;
-      this.#away_deg[joint] = read_deg - (telemetry.predicted_deg[joint] ?? NaN);
-    });
-  }
-
-  /** Return the deviation of a joint; NaN: it was not read yet. @param {number} joint */
-  of(joint) {
-    return this.#away_deg[joint] ?? NaN;
-  }
-}
-
-/**
  * Return the pose of the robot: where it is predicted, and as far from that as the servos reported;
  * null while none has.
- * @param {View} view @param {Telemetry} telemetry @param {Deviations} deviations @returns {Pose | null}
+ * @param {View} view @param {Telemetry} telemetry @param {import("../readings.js").Deviations} deviations @returns {Pose | null}
  */
 export function readPose(view, telemetry, deviations) {
   /** @type {Pose} */
@@ -81,6 +56,13 @@ export function readPose(view, telemetry, deviations) {
   return isRead ? read : null;
 }
 
+/** Return the pose of a robot that is connected without a show; null while none is known.
+ * @param {import("../state.js").State["robot_state"]} robot_state @returns {Pose | null} */
+function livePose(robot_state) {
+  if (robot_state?.state !== "live") return null;
+  return Object.fromEntries(Object.entries(robot_state.joints).map(([name, joint]) => [name, joint.deg]));
+}
+
 /**
  * Return what is drawn. The robot stands where it was read last, whatever the cursor shows; only who
  * looks for an instant (`isSought`) while no show runs sees the plan of the cursor, the robot thin.
@@ -91,7 +73,8 @@ export function posesOf(view, read, { at_s, isRunning, isSought }) {
   const planned = posesAt(view, at_s);
   if (read === null) return planned;
   if (isSought && !isRunning) return { ...planned, line: read };
-  return { ...planned, solid: read, isRead: true, line: isApart(read, planned.solid) ? planned.solid : null };
+  const line = isRunning && isApart(read, planned.solid) ? planned.solid : null;
+  return { ...planned, solid: read, isRead: true, line };
 }
 
 /** From this difference on two poses can be told apart in the picture. */
@@ -134,22 +117,17 @@ export function FigurePanel({ store, isSought = false }) {
     const shown = createFigure(place.current, figure, { schedule: nextFrame, label });
     /** @type {unknown[]} */
     let drawn = [];
-    let deviations = new Deviations();
-    let plan = "";
     const end = onFrame(() => {
-      const { view, player, cursor_s, theme } = store.state.peek();
+      const { view, player, cursor_s, theme, robot_state } = store.state.peek();
       const newest = store.telemetry.peek();
       const telemetry = newest?.plan === view?.plan ? newest : null;
       const isRunning = RUNNING.has(player.state) && telemetry !== null;
-      const now = [view, telemetry, isRunning, cursor_s, theme];
+      const now = [view, telemetry, isRunning, cursor_s, theme, robot_state];
       if (view === null || now.every((one, index) => one === drawn[index])) return;
       if (theme !== drawn[4]) shown.setTheme();
       if (view !== drawn[0]) shown.frame(posesAllOver(view));
       drawn = now;
-      if (newest !== null && newest.plan !== plan) deviations = new Deviations();
-      plan = newest?.plan ?? "";
-      if (telemetry !== null) deviations.take(telemetry);
-      const read = telemetry === null ? null : readPose(view, telemetry, deviations);
+      const read = telemetry === null ? livePose(robot_state) : readPose(view, telemetry, store.deviations);
       const at_s = isRunning && telemetry !== null ? withinView(view, Math.max(0, telemetry.show_s)) : cursor_s;
       const poses = posesOf(view, read, { at_s, isRunning, isSought });
       setRead(poses.isRead);

@@ -58,6 +58,8 @@ import { PoseList } from "./robot_poses.js";
 /** Share of the jogging speed by word. */
 const SPEEDS = { slow: 0.2, medium: 0.5, fast: 1 };
 
+const FEW_JOINTS = 6;
+
 const STATES = {
   off: "not connected",
   connecting: "connecting …",
@@ -72,7 +74,7 @@ const STATES = {
 export function whyStill(live, isMine, isLatched, isLost) {
   if (isLost) return "the connection to the studio is lost";
   if (!isMine) return "this page does not operate; press Operate above";
-  if (live.state === "playing") return "a show plays; stop it first";
+  if (live.state === "playing") return "the show or stage has the robot; stop it first";
   if (isLatched) return "it was stopped: arm it again first";
   if (live.state === "connecting") return "the servos are being asked; wait a moment";
   if (live.state !== "live") return "connect to the robot first";
@@ -125,6 +127,14 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
   }, [hold, mayMove]);
   const isOn = live.state === "live";
   const mayConnect = isMine && !isLost && (live.state === "off" || live.state === "live");
+  // Below few joints there is room beside the figure.
+  const isShort = robot.joints.length <= FEW_JOINTS;
+  const care = html`<${Maintenance}
+    joints=${robot.joints.map((joint) => joint.name)}
+    file=${robot.file ?? "robot.yaml"}
+    event=${maintenance}
+    ...${{ mayMove, why, act }}
+  />`;
   return html`<main class="page robot-page">
     <header class="robot-head">
       <h1>${robot.name}</h1>
@@ -162,15 +172,9 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         ...${{ mayMove, why, held, hold, act }}
       />
       ${scanned === null ? null : html`<${ScanResult} scanned=${scanned} />`}
+      ${isShort ? care : null}
     </div>
-    <div class="robot-foot">
-      <${Maintenance}
-        joints=${robot.joints.map((joint) => joint.name)}
-        file=${robot.file ?? "robot.yaml"}
-        event=${maintenance}
-        ...${{ mayMove, why, act }}
-      />
-    </div>
+    ${isShort ? null : html`<div class="robot-foot">${care}</div>`}
   </main>`;
 }
 

@@ -5,6 +5,7 @@ import { html, useEffect, useRef } from "../vendor/preact.js";
 import { withinView } from "../curves.js";
 import { FigurePanel } from "../figure/panel.js";
 import { onFrame } from "../frames.js";
+import { whyNoPlan } from "../parts/text.js";
 import { Wellness } from "../parts/wellness.js";
 import { MOVING, stateOf } from "../states.js";
 import { timeText } from "../timeline/window.js";
@@ -65,7 +66,7 @@ function drawLive(page, store) {
   const frame = player.state === "idle" ? null : store.telemetry.value;
   const show_s = frame === null ? cursor_s : frame.show_s;
   const at_s = withinView(view, Math.max(show_s, 0));
-  put(page, "[data-clock]", timeText(show_s, 0.1));
+  put(page, "[data-clock]", timeText(Math.max(show_s, 0), 0.1));
   const bar = page.querySelector("[data-progress]");
   if (bar instanceof HTMLElement) bar.style.width = `${((100 * at_s) / view.view_s).toFixed(2)}%`;
   const isRunning = ["playing", "paused", "waits", "recovering", "preparing"].includes(name);
@@ -133,16 +134,8 @@ function Cues({ state, actions }) {
   if (found.length === 0) return html`<p class="muted">This show has no labels and no events.</p>`;
   return html`<ol class="scroll cue-list">${found.map((cue, index) => html`<li key=${index} data-cue=${cue.at_s}>
     <span class="number">${timeText(cue.at_s, 0.1)}</span>
-    <span class=${`kind kind-${cue.kind}`}>${cue.kind}</span><span class="cue-text">${cue.text}</span>
+    ${cue.kind === "label" ? null : html`<span class=${`kind kind-${cue.kind}`}>${cue.kind}</span>`}<span class="cue-text">${cue.text}</span>
     ${canSeek ? html`<button type="button" class="plain" aria-label=${`Go to ${cue.text}`} onClick=${() => actions.seek(cue.at_s)}>go to</button>` : null}</li>`)}</ol>`;
-}
-
-/** Why there is nothing to show, and what to do. @param {State} state */
-export function whyNoPlan({ document: own }) {
-  if (own === null || own.is_planning) return "The file is being planned…";
-  if (own.kind === "robot") return "This is a robot file, which has no show. Open a sequence, a gait or a play list; the Robot page moves this robot.";
-  if (own.errors.length > 0) return "There is no plan: the file has an error, which stands above.";
-  return "There is no plan yet.";
 }
 
 /** @param {{ state: State }} props */

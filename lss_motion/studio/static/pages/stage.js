@@ -2,6 +2,7 @@
 /** What the Show page has for a stage: its state, the cue list, and what has happened. GO is at the foot. */
 
 import { html } from "../vendor/preact.js";
+import { whyNoPlan } from "../parts/text.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
 
@@ -32,8 +33,7 @@ function timecodeText({ state, source, at, rate, show, off_ms }) {
 export function StageCues({ state, actions }) {
   const own = state.stage;
   if (own === null) {
-    return html`<p class="muted">${state.document?.kind === "stage" && state.document.plan !== null
-      ? "The stage does not run. START begins it." : "This is a stage: many shows on cues. Its shows are being planned…"}</p>`;
+    return html`<p class="muted">${state.document?.plan == null ? whyNoPlan(state) : "The stage does not run. START begins it."}</p>`;
   }
   const isResting = own.state === "rests" || own.state === "given_up";
   return html`<div class="stage-head">

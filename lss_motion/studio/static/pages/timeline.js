@@ -7,9 +7,8 @@ import { Mirror } from "../mirror.js";
 import { number } from "../numbers.js";
 import { FigurePanel } from "../figure/panel.js";
 import { TimelineBoard } from "../timeline/board.js";
-import { FileLine } from "../parts/text.js";
+import { FileLine, whyNoPlan } from "../parts/text.js";
 import { timeText } from "../timeline/window.js";
-import { whyNoPlan } from "./show.js";
 
 /** @typedef {import("../state.js").State} State */
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */

@@ -47,11 +47,11 @@ function Box({ title, close, yes, run, children }) {
 
 function Help() {
   return html`<table class="keys"><tbody>
-    ${[...STOP_KEYS, ...KEYMAP].map((one) => html`<tr key=${one.action}>
+    ${[...STOP_KEYS, ...KEYMAP].filter((one) => one.action !== "shows_only").map((one) => html`<tr key=${one.action}>
       <th scope="row">${one.keys.map((key) => html`<kbd>${key.replace("Arrow", "")}</kbd> `)}</th>
       <td>${one.text}${one.pages ? html` <span class="muted">(${one.pages.join(", ")})</span>` : null}</td></tr>`)}
   </tbody></table>
-  <p class="muted">Timeline: wheel scrolls, Ctrl and wheel zooms, Shift and wheel pans; drag to pan, drag the ruler for the cursor.</p>`;
+  <p class="muted">Timeline: wheel scrolls, Ctrl and wheel zooms, Shift and wheel pans; drag to pan, drag the ruler for the cursor. Keys are changed in the file: the page shows them.</p>`;
 }
 
 /** What a role may, as a person says it. */

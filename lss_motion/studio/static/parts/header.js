@@ -11,7 +11,8 @@ const PAGES = /** @type {const} */ ([["show", "Show"], ["timeline", "Timeline"],
 
 /** @param {Props} props */
 export function Header({ state, actions }) {
-  const own = state.document;
+  const { document: own, player } = state;
+  const { tone } = stateOf(state);
   return html`<header class="head">
     <div class="head-title">
       <strong class="name" title=${own?.title ?? ""}>${own?.title ?? state.welcome?.title ?? "studio"}</strong>
@@ -27,7 +28,9 @@ export function Header({ state, actions }) {
         aria-label=${state.theme === "dark" ? "Light theme" : "Dark theme"}>${state.theme === "dark" ? "☀" : "☾"}</button>
       <button type="button" class="plain" onClick=${() => actions.run("help")} aria-label="Keys">?</button>
     </div>
-    <div class="head-state"><${StateLine} state=${state} />
+    <div class=${`head-state tone-${tone}`}><${StateLine} state=${state} />
+      ${player.latch === null || state.link.status === "lost" ? null : html`<button type="button" class="rearm" disabled=${player.state === "stopping"}
+        onClick=${() => actions.askRearm()}>Arm again…</button>`}
       <span class="chips">
         ${own?.is_planning ? html`<span class="chip chip-busy" role="status">planning…</span>` : null}
         ${own && own.errors.length > 0 ? html`<span class="chip chip-bad">▲ ${own.errors.length === 1 ? "1 error" : `${own.errors.length} errors`} in the file</span>` : null}
@@ -41,7 +44,7 @@ export function Header({ state, actions }) {
  * @param {{ state: import("../state.js").State }} props */
 export function StateLine({ state }) {
   const { name, word, tone, sign, detail } = stateOf(state);
-  return html`<p class=${`state tone-${tone}`} role="status" data-state=${name}><span class="state-sign" aria-hidden="true">${sign}</span>
+  return html`<p class=${`state tone-${tone}`} role=${tone === "bad" ? "alert" : "status"} data-state=${name}><span class="state-sign" aria-hidden="true">${sign}</span>
     <span class="word">${word}</span>${detail === "" ? null : html`<span class="state-detail">${detail}</span>`}</p>`;
 }
 
@@ -62,17 +65,10 @@ function Operator({ state, actions }) {
       : html`<button type="button" class="plain" onClick=${() => actions.withLease(() => actions.link.ask("lease", { want: "take" }))}>Operate</button>`}${pair}</span>`;
 }
 
-/** What stands above everything else: the link, the stop that is kept, errors of the file. @param {Props} props */
+/** What stands above the page besides the state: what was refused, errors of the file. @param {Props} props */
 export function Banners({ state, actions }) {
-  const { link, player, document: own, welcome, refusal } = state;
-  const { name, word, tone } = stateOf(state);
-  const said = word[0]?.toUpperCase() + word.slice(1);
+  const { player, document: own, welcome, refusal } = state;
   return html`<div class="banners">
-    ${link.status === "lost" ? html`<p class="banner banner-bad" role="alert">⚠ No link: ${link.text}. What you see is old. The show goes on as it was started. STOP is still sent, by a way of its own.</p>` : null}
-    ${player.latch !== null && name !== "no_link" ? html`<p class=${`banner banner-stop tone-${tone}`} role="alert"><strong>${said}.</strong> ${player.text === "stopped" ? "" : player.text} Nothing moves before it is armed again.
-      <button type="button" disabled=${player.state === "stopping"} onClick=${() => actions.askRearm()}>Arm again…</button></p>` : null}
-    ${name === "fault" ? html`<p class="banner banner-bad" role="alert"><strong>${said}.</strong> ${faultOf(state)}</p>` : null}
-    ${name === "player_gone" ? html`<p class="banner banner-bad" role="alert">⚠ ${said}: ${player.text}</p>` : null}
     ${refusal ? html`<p class=${`banner ${refusal.is_hint ? "banner-note" : "banner-warn"}`} role="alert" key=${refusal.number}>${refusal.is_hint ? "" : "✕ "}${refusal.text}
       <button type="button" onClick=${() => actions.set({ refusal: null })}>Close</button></p>` : null}
     ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><${FileLine} actions=${actions} file=${error.path} line=${error.line} /> ${error.text}</p>`)}
@@ -80,11 +76,4 @@ export function Banners({ state, actions }) {
       ? html`<p class="banner banner-note" role="status">The file has changed since START: what plays is as it was; times, cues and curves shown are the new ones. The next START plays them.</p>` : null}
     ${welcome?.is_network_readable ? html`<p class="banner banner-note">This link has no TLS: others on the network can read along.</p>` : null}
   </div>`;
-}
-
-/** What ended it and what was done, and where the robot stands. @param {import("../state.js").State} state */
-function faultOf(state) {
-  const { detail } = stateOf(state);
-  const done = state.trouble.find((one) => one.kind === "fault")?.done ?? "";
-  return [detail, done].filter((text) => text !== "").join(": ");
 }

@@ -25,3 +25,12 @@ export function FileText({ file, line }) {
   return html`<ol class="file-text" tabindex="0">${text.split("\n").map((own, index) => html`<li key=${index}
     ref=${index + 1 === line ? marked : undefined} aria-current=${index + 1 === line ? "true" : undefined}>${own || " "}</li>`)}</ol>`;
 }
+
+/** Why there is nothing to show, and what to do. @param {import("../state.js").State} state */
+export function whyNoPlan({ document: own }) {
+  if (own === null || own.is_planning) return "The file is being planned…";
+  if (own.kind === "robot") return "This is a robot file, which has no show. Open a sequence, a gait or a play list; the Robot page moves this robot.";
+  if (own.kind === "stage") return `This is a stage: many shows on cues. It is run by: lss-motion serve ${own.file}. To look at one of its shows, open its file.`;
+  if (own.errors.length > 0) return "There is no plan: the file has an error, which stands above.";
+  return "There is no plan yet.";
+}

@@ -50,7 +50,7 @@ export function Wellness({ state }) {
 }
 
 /** @param {State} state @param {number} exceptions */
-function summary({ view, health }, exceptions) {
+function summary({ view, health, trouble }, exceptions) {
   const count = view?.joints.length ?? 0;
   const joints = count === 1 ? "1 joint" : `${count} joints`;
   if (health === null) {
@@ -61,7 +61,7 @@ function summary({ view, health }, exceptions) {
   const hottest_c = Math.max(...own.map((one) => one.temperature_c ?? -Infinity));
   const lowest_v = Math.min(...own.map((one) => one.voltage_v ?? Infinity));
   const parts = [
-    exceptions === 0 ? `${joints}, all well` : exceptions === count ? "every joint needs a look" : `${exceptions} of ${joints} need a look`,
+    exceptions === 0 && trouble.some((one) => one.kind === "fault") ? joints : exceptions === 0 ? `${joints}, all well` : exceptions === count ? "every joint needs a look" : `${exceptions} of ${joints} need a look`,
     Number.isFinite(hottest_c) ? `hottest ${number(hottest_c, 0)} °C` : "",
     Number.isFinite(lowest_v) ? `lowest ${number(lowest_v, 1)} V` : "",
     ...Object.entries(health.buses).map(([bus, use]) => `line ${bus} ${Math.round(100 * use.use_ratio)} %`),
