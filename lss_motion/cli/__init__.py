@@ -17,7 +17,6 @@ exchange        `import`, `export`: motion of other tools, and motion for them
 identify        `identify`: measure the response of servos
 jog             `jog`: move joints with keys, keep poses
 monitor         `monitor`: the live state of all servos
-morning         `morning`: what happened on a stage in a night, from its log
 planning        `check`, `plan`, `compile`, `schema`, `gait`: all that needs no servo
 play            `play`, and the program `lss-play`
 record          `record`: a motion shown by hand becomes a sequence file
@@ -26,11 +25,9 @@ replay          `replay`: the content of a log, and its second run
 report          `report`: the report of a show as text and picture; also called by `play`, `walk`
 scan            `scan`: find ports, baud rates and servos
 send            `send`: one command to one servo
+serving         `studio`, `serve`: a show or a stage in a browser
 simulate        `sim`: a simulated robot behind a pseudo-terminal
-stage_keys      `stage-keys`: keys for the computers of a stage
-studio          `studio`: see and run a show in a browser
-serve           `serve`: run a stage: shows, cues, its operator's page
-service         `install-service`: start a stage with the computer
+stages          `stage-keys`, `morning`, `install-service`: what a stage needs around it
 walk            `walk`: a gait that is steered while it runs
 ==============  =================================================================================
 
@@ -42,14 +39,10 @@ options         the options that several commands have, each once; all commands
 start           the entry points: signals are handled before anything heavy is imported
 messages        prints everything, escaped; turns exceptions into exit codes; all commands
 terminal        keys and signals during a run; `play`, `walk`, `identify`, `hands`
-consent         which Python functions a show may call; `play`
 careful         the careful run before a show, and what is learnt in it; `play`
-dialog          the question before a real robot moves, and a line an event; `play`, `walk`
+dialog          questions before a robot moves or a function runs, and a line an event
 display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
-voices          a sound as motion: the options and texts of `import`; `exchange`
-served          what is needed to serve, and what is printed of it; `studio`, `serve`
-servo_settings  reads and writes settings over an open connection; `configure`
 ==============  =================================================================================
 """
 

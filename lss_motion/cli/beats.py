@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import say
-from lss_motion.cli.options import add_options, number_from
-from lss_motion.cli.voices import channel_of
+from lss_motion.cli.options import add_options, channel_of, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.files.texts import counted

@@ -53,7 +53,7 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "play it": {
         "play": ("play", "the same as lss-play"),
         "walk": ("walk", "walk a gait, steered with keys or a gamepad"),
-        "studio": ("studio", "see and run a show in a browser"),
+        "studio": ("serving", "see and run a show in a browser"),
         "sim": ("simulate", "simulate a robot behind a pseudo-terminal"),
         "replay": ("replay", "print a log of lss-play, or run it again"),
         "report": ("report", "print a report of lss-play, or compare two"),
@@ -69,10 +69,10 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "devices": ("doctor", "list the sound devices"),
     },
     "several shows and computers": {
-        "serve": ("serve", "run a stage: shows, cues, its operator's page"),
-        "install-service": ("service", "start a stage with the computer, by systemd"),
-        "stage-keys": ("stage_keys", "make keys for the computers of a stage"),
-        "morning": ("morning", "sum up a night of a stage from its log"),
+        "serve": ("serving", "run a stage: shows, cues, its operator's page"),
+        "install-service": ("stages", "start a stage with the computer, by systemd"),
+        "stage-keys": ("stages", "make keys for the computers of a stage"),
+        "morning": ("stages", "sum up a night of a stage from its log"),
     },
     "other": {
         "pack-report": ("pack", "pack what somebody needs to find a fault of a show"),

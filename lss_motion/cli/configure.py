@@ -227,7 +227,7 @@ def _targets(
     """Return the chosen servos; each of them has replied."""
     from msgspec.structs import replace
 
-    from lss_motion.cli.servo_settings import targets_at
+    from lss_motion.maintenance.api import targets_at
     from lss_motion.maintenance.survey import roll_call
     from lss_motion.robot.servo_models import model_mismatch_text
 
@@ -306,10 +306,10 @@ def _assigned(text: str) -> tuple[str, float | None]:
 
 def _show(connection: Connection, targets: Sequence[Target], arguments: argparse.Namespace) -> int:
     """Print the stored settings, or with --session the present ones."""
-    from lss_motion.cli.servo_settings import read
     from lss_motion.maintenance import settings
+    from lss_motion.maintenance.api import read_settings
 
-    found = read(connection, targets, is_session=arguments.session)
+    found = read_settings(connection, targets, is_session=arguments.session)
     is_whole = True
     for target in targets:
         say(f"{target.name} (id {target.servo_id}, {target.model}):")
@@ -342,11 +342,10 @@ def _apply(
     arguments: argparse.Namespace,
 ) -> int:
     """Show the differences, ask, write. `wanted` is by the name of the target."""
-    from lss_motion.cli import servo_settings
-    from lss_motion.maintenance import settings
+    from lss_motion.maintenance import api, settings
 
     is_session = arguments.session
-    needed = servo_settings.differing(connection, targets, wanted, is_session=is_session)
+    needed = api.differing(connection, targets, wanted, is_session=is_session)
     if not needed:
         say(f"nothing to write: {len(targets)} servos have these settings already")
         return EXIT_FINISHED
@@ -367,14 +366,14 @@ def _apply(
         say("nothing was written")
         return EXIT_FINISHED
     with _writing("some may have their new settings, others not. Give the same command again"):
-        done = servo_settings.write(connection, targets, wanted, is_session=is_session)
+        done = api.write_settings(connection, targets, wanted, is_session=is_session)
     say(f"written and read back: {counted(done, 'setting')}")
     return EXIT_FINISHED
 
 
 def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
     """Give the only servo at an id another id."""
-    from lss_motion.cli import servo_settings
+    from lss_motion.maintenance import api
 
     bus = next(iter(connection.buses))
     (old_id,), new_id = arguments.ids, arguments.new_id
@@ -382,7 +381,7 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
         raise InputError("--new-id needs one bus: give --port and --baud instead of ROBOT")
     if old_id == new_id:
         raise InputError(f"it has id {old_id} already")
-    (present,) = servo_settings.servos_at(connection, bus, [old_id])
+    (present,) = api.servos_at(connection, bus, [old_id])
     say(f"{present.model}: id {old_id} → {new_id}")
     if arguments.dry_run or not _is_agreed(
         arguments, f"Restart the servo with id {old_id} as {new_id}?"
@@ -394,7 +393,7 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
         f"switched off and on if it got that far. `lss-motion scan {connection.buses[bus].port}` "
         f"shows it"
     ):
-        present = servo_settings.change_id(connection, bus, old_id, new_id)
+        present = api.change_id(connection, bus, old_id, new_id)
     number = f", serial number {present.serial_number}" if present.serial_number else ""
     say(f"the {present.model}{number} now has id {new_id}")
     return EXIT_FINISHED
@@ -414,7 +413,7 @@ def _require_own_ids(servos: Sequence[ServoIdentity], port: str) -> None:
 
 def _change_baud(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
     """Give all servos of a bus another baud rate; only some of them with `--force`."""
-    from lss_motion.cli import servo_settings
+    from lss_motion.maintenance import api
     from lss_motion.maintenance.survey import roll_call
 
     if len(connection.buses) > 1:
@@ -454,7 +453,7 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
         f"some servos may be at {bus.baud_bps} bps, others at {rate_bps}. `lss-motion scan "
         f"{bus.port}` lists them with the command that mends it"
     ):
-        lost = servo_settings.change_baud(connection, bus.name, chosen, rate_bps)
+        lost = api.change_baud(connection, bus.name, chosen, rate_bps)
     if lost:
         listed = ", ".join(map(str, lost))
         say(f"servo {listed} does not reply at {rate_bps} bps; see `lss-motion scan {bus.port}`")
@@ -472,13 +471,13 @@ def _back_up(
     is_forced: bool,
 ) -> int:
     """Write all stored settings to a file."""
-    from lss_motion.cli import servo_settings
+    from lss_motion.maintenance import api
     from lss_motion.maintenance.settings import ServoBackup, backup_text
     from lss_motion.maintenance.survey import query_each
 
     output = Output(path, Kind.YAML)
     require_outputs([output], sources=[robot_path], is_forced=is_forced)
-    found = servo_settings.read_whole(connection, targets)
+    found = api.read_whole(connection, targets)
     present = {
         (bus, p.servo_id): p
         for bus in {target.bus for target in targets}
@@ -505,7 +504,7 @@ def _back_up(
 
 def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
     """Write the settings of a backup. A servo with the factory id gets its old id first."""
-    from lss_motion.cli import servo_settings
+    from lss_motion.maintenance import api
     from lss_motion.maintenance.settings import read_backup
 
     servos = [
@@ -520,7 +519,7 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
             raise InputError(f"unknown bus {kept.bus!r}; there is {known}", path=arguments.restore)
         name = f"servo {kept.servo_id}" + (f" on {kept.bus}" if len(connection.buses) > 1 else "")
         now_id = _find(connection, kept, arguments)
-        (target,) = servo_settings.targets_at(connection, kept.bus, {now_id: name})
+        (target,) = api.targets_at(connection, kept.bus, {now_id: name})
         if now_id != kept.servo_id:
             moves.append((target, kept.servo_id))
         targets.append(target)
@@ -534,17 +533,15 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
         return EXIT_FINISHED
     for target, servo_id in moves:
         with _writing("some servos may have their ids, others not. Give the same command again"):
-            servo_settings.change_id(connection, target.bus, target.servo_id, servo_id)
+            api.change_id(connection, target.bus, target.servo_id, servo_id)
         index = targets.index(target)
-        (targets[index],) = servo_settings.targets_at(
-            connection, target.bus, {servo_id: target.name}
-        )
+        (targets[index],) = api.targets_at(connection, target.bus, {servo_id: target.name})
     return _apply(connection, targets, wanted, arguments)
 
 
 def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespace) -> int:
     """Return the present id of the servo of a backup: its own, or that of the factory."""
-    from lss_motion.cli import servo_settings
+    from lss_motion.maintenance import api
     from lss_motion.maintenance.survey import query_each
     from lss_motion.protocol.io2 import PIN_IDS
 
@@ -556,9 +553,7 @@ def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespa
             return present.servo_id
     own = next((present for present in found if present.servo_id == kept.servo_id), None)
     if own is None or not own.is_single:
-        servo_settings.servos_at(
-            connection, kept.bus, [kept.servo_id]
-        )  # Raises the error that explains it.
+        api.servos_at(connection, kept.bus, [kept.servo_id])  # Raises the error that explains it.
         raise BusError(f"servo {kept.servo_id} replies only sometimes; check its plug")
     if own.model != kept.model:
         raise InputError(

@@ -12,6 +12,8 @@ from lss_motion.files.texts import comma_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from lss_motion.sound.files import Channel
+
 _FILE: Final = {"type": Path, "metavar": "FILE"}
 _FLAG: Final = {"action": "store_true"}
 
@@ -157,3 +159,16 @@ def number_from(
         return value
 
     return number
+
+
+CHANNELS_MAX: Final = 1024
+"""The most that a sound file can have (libsndfile)."""
+
+
+def channel_of(text: str) -> Channel:
+    """Return the channel of a sound that an argument names."""
+    if text in ("left", "right", "mix"):
+        return text  # type: ignore[return-value]  # mypy does not narrow a str to literals
+    if text.isascii() and text.isdigit() and 1 <= int(text) <= CHANNELS_MAX:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not left, right, mix or a number from 1 on")

@@ -330,7 +330,7 @@ def _gait(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         write_sequence(sequence, arguments.output, comments=[f"The keyframes of {arguments.file}."])
     if arguments.plot is not None:
-        from lss_motion.planning.gait_plot import plot_gait
+        from lss_motion.planning.picture import plot_gait
 
         plot_gait(gait, passages, arguments.plot)
     if arguments.json:

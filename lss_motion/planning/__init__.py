@@ -9,5 +9,4 @@
 | `show_cache.py` | a show whose files are unchanged, loaded as a whole | `cli`                    |
 | `summaries.py`  | the text of plans and programs for people           | `cli`, `studio`          |
 | `picture.py`    | figures of matplotlib that look alike               | `trajectory.plot`, `cli` |
-| `gait_plot.py`  | the picture of a gait                               | `cli.planning`           |
 """

@@ -13,6 +13,6 @@
 | `real_time.py` | priority, memory and timers of the system        | `playing`, `sim.pty`        |
 | `signals.py`   | signals that end a program, at any instant       | `cli`, `playing`, `sim`     |
 | `computer.py`  | checks of this computer (`lss-motion doctor`)    | `cli.doctor`                |
-| `service.py`   | the unit of systemd, and what it is told         | `cli.service`, `stage`      |
+| `service.py`   | the unit of systemd, and what it is told         | `cli.stages`, `stage`       |
 | `closing.py`   | what is open until `close`, as a context manager | `sound`, `stage`, `playing` |
 """

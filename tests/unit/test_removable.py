@@ -13,14 +13,11 @@ from tests.tables import first_quick
 ROOT = Path(__file__).parents[2]
 
 REMOVED = {
-    "interchange": ("exchange", "record", "voices"),
-    "maintenance": (
-        *("calibrate", "configure", "identify", "monitor", "record", "scan", "send"),
-        "servo_settings",
-    ),
-    "sound": ("beats", "exchange", "voices"),
-    "stage": ("doctor", "morning", "serve", "served", "stage_keys", "studio"),
-    "studio": ("serve", "served", "studio"),
+    "interchange": ("exchange", "record"),
+    "maintenance": ("calibrate", "configure", "identify", "monitor", "record", "scan", "send"),
+    "sound": ("beats", "exchange"),
+    "stage": ("doctor", "serving", "stages"),
+    "studio": ("serving",),
 }
 """The commands that go with each package."""
 

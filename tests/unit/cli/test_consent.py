@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.cli import consent, play
+from lss_motion.cli import dialog, play
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, InputError
 from lss_motion.playing import api
@@ -204,7 +204,7 @@ def test_what_is_exchanged_after_a_person_has_agreed_is_not_run(name, folder, at
     Path(name).unlink()
     Path(name).symlink_to("good")
     at_keyboard("y\n")
-    asked = consent.agrees
+    asked = dialog.agrees
 
     def agree_then_exchange(*words):
         answer = asked(*words)
@@ -213,7 +213,7 @@ def test_what_is_exchanged_after_a_person_has_agreed_is_not_run(name, folder, at
         return answer
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(consent, "agrees", agree_then_exchange)
+        patch.setattr(dialog, "agrees", agree_then_exchange)
         assert played() == EXIT_FINISHED
     assert ran(folder) == {"imported", "called"}
     assert not Path("evil_ran").exists()

@@ -6,7 +6,8 @@ import shlex
 
 import pytest
 
-from lss_motion.cli import examples, serve
+from lss_motion.cli import examples
+from lss_motion.cli import serving as serving_command
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED
 from lss_motion.stage.hosts import serving
@@ -21,7 +22,9 @@ def test_the_commands_that_it_prints_serve_every_figure_of_a_stage(
     monkeypatch.chdir(tmp_path)
     served = []
     monkeypatch.setattr(
-        serve, "_run", lambda arguments, _stage, _views: served.append(arguments.figure) or 0
+        serving_command,
+        "_run",
+        lambda arguments, _stage, _views: served.append(arguments.figure) or 0,
     )
     monkeypatch.setattr(
         serving, "serve_figure", lambda _stage, figure, **_: served.append(figure) or 0

@@ -7,9 +7,9 @@ from functools import partial
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.cli import identify
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
+from lss_motion.maintenance.api import measurable
 from lss_motion.playing import api
 from lss_motion.playing.run import perform
 from lss_motion.protocol.constants import Family
@@ -112,4 +112,4 @@ def test_an_rc_servo_has_nothing_to_measure(folder):
     model = replace(robot.joints["pan"].model, name="LSS-2IO", family=Family.IO2)
     rc = replace(robot, joints={"eye": replace(robot.joints["pan"], name="eye", model=model)})
     with pytest.raises(InputError, match="reports no position"):
-        identify._joints(rc, ["eye"])
+        measurable(rc, "eye")

@@ -7,7 +7,7 @@ import pwd
 
 import pytest
 
-from lss_motion.cli import service
+from lss_motion.cli import stages
 from lss_motion.cli.main import main
 from lss_motion.system.service import MARK
 
@@ -68,9 +68,9 @@ def test_a_stage_never_runs_as_root(run, monkeypatch, tmp_path):
 
 
 def test_what_systemd_refuses_is_not_written(run, monkeypatch, tmp_path):
-    if service.shutil.which("systemd-analyze") is None:
+    if stages.shutil.which("systemd-analyze") is None:
         pytest.skip("sudo apt install systemd")
-    monkeypatch.setattr(service.sys, "executable", "/no/python")
+    monkeypatch.setattr(stages.sys, "executable", "/no/python")
     code, _, errors = run()
     assert (code, "systemd refuses the unit" in errors) == (2, True)
     assert not (tmp_path / "lss-hall_of_fear.service").exists()

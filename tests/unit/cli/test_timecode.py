@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.cli.play import make_parser
-from lss_motion.cli.timecode import specs_of
+from lss_motion.cli.play import make_parser, require_timecode
 from lss_motion.errors import InputError
 from lss_motion.stage.timecode.timecode import FPS_25, RATES, Timecode
 
 
 def specs(*words):
-    return specs_of(make_parser().parse_args(["show.yaml", *words]))
+    return require_timecode(make_parser().parse_args(["show.yaml", *words]))
 
 
 def test_what_is_followed_and_sent_is_read():

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.cli.main import main
-from lss_motion.planning.gait_plot import plot_gait
+from lss_motion.planning.picture import plot_gait
 from lss_motion.show.gait.model import BodyMove, BodyPose
 from lss_motion.show.gait.pacing import gait_lines, paced
 from lss_motion.show.load import load_sequence

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.cli import servo_settings
 from lss_motion.cli.main import main
-from lss_motion.cli.servo_settings import read, read_whole, targets_at, write
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
@@ -14,6 +12,8 @@ from lss_motion.errors import (
     EXIT_UNREACHABLE,
     BusError,
 )
+from lss_motion.maintenance import api
+from lss_motion.maintenance.api import read_settings, read_whole, targets_at, write_settings
 from lss_motion.playing import connection as connections
 from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.framing import Command
@@ -139,7 +139,7 @@ def test_a_servo_that_restarts_meanwhile_gets_all_of_it(connected, spec, at_s):
     connection = connected(spec(1), spec(2), faults=[reset])
     targets = targets_by(connection, [1, 2])
     wanted = {"servo 1": {"O": 25, "LED": 3, "AS": -2, "FD": 50}, "servo 2": {"LED": 4}}
-    write(connection, targets, wanted)
+    write_settings(connection, targets, wanted)
     eeprom = servos(connection)[1].eeprom
     assert {name: eeprom[name] for name in wanted["servo 1"]} == wanted["servo 1"]
     assert servos(connection)[2].eeprom["LED"] == 4
@@ -154,7 +154,7 @@ def test_a_line_that_loses_commands_and_answers_loses_no_setting(connected, spec
     connection = connected(spec(1), faults=faults, seed=seed)
     (target,) = targets_by(connection, [1])
     wanted = {"O": 25, "LED": 3, "AS": -2, "AH": 1, "AA": 50, "AD": 60, "SD": 900}
-    write(connection, [target], {target.name: wanted})
+    write_settings(connection, [target], {target.name: wanted})
     eeprom = servos(connection)[1].eeprom
     assert {name: eeprom[name] for name in wanted} == wanted
 
@@ -165,7 +165,7 @@ def test_a_servo_that_stops_answering_is_reported(connected, spec):
     (target,) = targets_by(connection, [1])
     connection.wait(1.0)
     with pytest.raises(BusError, match=r"servo 1 .* no longer replies"):
-        write(connection, [target], {target.name: {"LED": 3}})
+        write_settings(connection, [target], {target.name: {"LED": 3}})
 
 
 def test_an_unplugged_port_ends_it_with_its_reason(connected, spec, configure):
@@ -190,15 +190,15 @@ def test_stored_values_are_read_whatever_the_session_is(connected, spec):
     connection = connected(spec(1, eeprom={"O": 25}))
     order(connection, 1, "O", 99)
     (target,) = targets_by(connection, [1])
-    assert read(connection, [target])[target.name]["O"] == 25
-    assert read(connection, [target], is_session=True)[target.name]["O"] == 99
+    assert read_settings(connection, [target])[target.name]["O"] == 25
+    assert read_settings(connection, [target], is_session=True)[target.name]["O"] == 99
 
 
 def test_the_wanted_first_position_is_written_last(connected, spec):
     """Writing one erases the other, also when it is switched off."""
     connection = connected(spec(1, eeprom={"FD": 50}))
     (target,) = targets_by(connection, [1])
-    write(connection, [target], {target.name: {"FP": 1300, "FD": None}})
+    write_settings(connection, [target], {target.name: {"FP": 1300, "FD": None}})
     assert servos(connection)[1].eeprom["FP"] == 1300
     lines = received(connection)
     assert lines.index(b"#1CFD\r") < lines.index(b"#1CFP1300\r")
@@ -423,7 +423,7 @@ def test_reading_reports_missing_answers(connected, spec):
     connection = connected(spec(1), firmware=367)
     (target,) = targets_by(connection, [1])
     assert "FPC" not in target.rows(is_session=False)  # Firmware 367 does not know it.
-    found = read(connection, [target])[target.name]
+    found = read_settings(connection, [target])[target.name]
     assert found["AS"] == 0
     assert set(found) == set(target.rows(is_session=False))
 
@@ -431,7 +431,7 @@ def test_reading_reports_missing_answers(connected, spec):
 @pytest.mark.parametrize(
     ("words", "writer", "said"),
     [
-        (("--set", "LED=3"), "write", "some may have their new settings, others not"),
+        (("--set", "LED=3"), "write_settings", "some may have their new settings, others not"),
         (("--new-id", 9), "change_id", "may have id 5 or 9"),
         (("--new-baud", 500000), "change_baud", "some servos may be at 115200 bps, others at"),
     ],
@@ -442,7 +442,7 @@ def test_an_interrupt_while_servos_are_written_says_what_may_be(
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(servo_settings, writer, interrupt)
+    monkeypatch.setattr(api, writer, interrupt)
     asked = ("configure", "--port", "P", "--id", 5, "--yes", *words)
     code, _, errors, _ = command(*asked, servos=[spec(5)])
     assert (code, "interrupted while servos were written" in errors) == (EXIT_INTERRUPTED, True)

@@ -1,4 +1,4 @@
-"""The command `install-service`: start a stage with the computer, by systemd."""
+"""The commands around a stage: `stage-keys`, `morning` and `install-service`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command
-from lss_motion.cli.messages import put
+from lss_motion.cli.commands import add_command, print_json
+from lss_motion.cli.messages import put, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
+from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
 if TYPE_CHECKING:
     import argparse
@@ -23,6 +25,117 @@ if TYPE_CHECKING:
     from lss_motion.system.service import Unit
 
 DESCRIPTION: Final = """\
+Make keys for the computers of a stage, so that no other computer can take part: a small authority
+(ca.pem, ca.key) and, for each figure of the stage, a certificate and its key.
+
+  lss-motion stage-keys hall.yaml              into the folder that the stage names
+  lss-motion stage-keys hall.yaml keys         into this folder
+
+Name the folder in the stage file: `network: {keys: keys}`. Copy ca.pem, FIGURE.pem and FIGURE.key
+to the computer of each figure, and ca.key to none: with it more figures can be made. Figures that
+have keys keep them; what is there is never overwritten. A computer that was lost or stolen keeps
+its key: make new keys for all, in an empty folder.
+
+Exit codes: 0 every figure has keys; 2 the stage file or the folder must change, or the extra
+[network] is missing.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the commands of this module."""
+    _add_service(commands)
+    _add_morning(commands)
+    keys = add_command(commands, "stage-keys", _keys, DESCRIPTION)
+    keys.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
+    keys.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        metavar="FOLDER",
+        help="where the keys are written (default: the folder that the stage names, or else keys "
+        "beside its file)",
+    )
+    add_options(keys, "--json")
+
+
+def _keys(arguments: argparse.Namespace) -> int:
+    from lss_motion.stage.hosts.peer import make_keys
+    from lss_motion.stage.load import load_stage
+
+    stage = load_stage(arguments.stage)
+    if not stage.figures:
+        raise InputError(
+            "has no figures: a stage on one computer needs no keys", path=arguments.stage
+        )
+    folder = arguments.folder or stage.keys or arguments.stage.parent / "keys"
+    written = make_keys(stage.name, stage.figures, folder)
+    copies = {name: ["ca.pem", f"{name}.pem", f"{name}.key"] for name in stage.figures}
+    if arguments.json:
+        print_json(
+            {
+                "folder": str(folder),
+                "written": [path.name for path in written],
+                "copy": copies,
+            }
+        )
+        return EXIT_FINISHED
+    for path in written:
+        put(f"wrote {path}")
+    if not written:
+        put(f"{folder} has keys for every figure already")
+    for name, files in copies.items():
+        put(f"the computer of {name} needs {', '.join(files)}")
+    if stage.keys is None:
+        put(f"name the folder in {arguments.stage}: network: {{keys: {folder.name}}}")
+    return EXIT_FINISHED
+
+
+MORNING_TEXT: Final = """\
+Sum up a night of a stage from the folder of its log: what played, which cues fired or were refused
+and why, faults, the hottest servo, the worst error, and what to look at.
+
+  lss-motion morning log
+  lss-motion morning log --since "2026-10-30 18:00" --html night.html
+"""
+
+
+def _add_morning(commands: Commands) -> None:
+    morning = add_command(commands, "morning", _morning, MORNING_TEXT)
+    morning.add_argument("folder", type=Path, metavar="LOG_DIR", help="the folder of the log")
+    morning.add_argument(
+        "--since",
+        metavar="TIME",
+        help="from this time on, such as 2026-10-30 18:00 (default: the last 24 hours of the log)",
+    )
+    morning.add_argument("--html", type=Path, metavar="F.html", help="write a page with plots")
+    add_options(morning, "--json", "--force")
+
+
+def _morning(arguments: argparse.Namespace) -> int:
+    from lss_motion.stage.morning import as_json, html_of, read_night, text_of
+
+    require_outputs([Output(arguments.html, Kind.PAGE)], is_forced=arguments.force)
+    night = read_night(arguments.folder, _time(arguments.since))
+    if arguments.html is not None:
+        name = arguments.folder.absolute().parent.name
+        write_output(arguments.html, html_of(night, name))
+    if arguments.json:
+        print_json(as_json(night))
+    else:
+        say("\n".join(text_of(night)))
+    return EXIT_FINISHED
+
+
+def _time(text: str | None) -> datetime | None:
+    if text is None:
+        return None
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"--since {text!r} is no time, such as 2026-10-30 18:00") from None
+
+
+SERVICE_TEXT: Final = """\
 Start a stage with the computer, by systemd: write a unit, check it, and start it. The stage begins
 at every boot, waits for its port and servos, is started again if it ends, and is stopped safely
 when the computer is shut down. The unit is printed with its reasons; nothing else is changed.
@@ -40,13 +153,12 @@ GROUPS: Final = ("dialout", "uucp", "audio", "gpio")
 """Groups of serial ports (Debian, Arch), sound devices and pins (Raspberry Pi OS)."""
 
 
-def add_to(commands: Commands) -> None:
-    """Add the command of this module."""
+def _add_service(commands: Commands) -> None:
     service = add_command(
         commands,
         "install-service",
         _install,
-        DESCRIPTION,
+        SERVICE_TEXT,
     )
     service.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
     service.add_argument("--user", metavar="NAME", help="the user that runs the stage")

@@ -1,4 +1,4 @@
-"""The command `serve`: run a stage all evening, with its cues and its operator's page."""
+"""The commands `studio`, a show in a browser, and `serve`, a stage with its cues and its page."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import sys
 import tempfile
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from lss_motion.cli import served
 from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import put
 from lss_motion.cli.options import add_options
 from lss_motion.cli.terminal import is_at_keyboard
-from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, InputError
+from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, InputError, install_command
 
 if TYPE_CHECKING:
     import argparse
@@ -25,10 +24,192 @@ if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
     from lss_motion.stage.hosts.serving import Sources
     from lss_motion.stage.model import Stage
+    from lss_motion.studio.access import RoleName
     from lss_motion.studio.stage_service import StageService
     from lss_motion.studio.studio import Studio
 
+
+@contextlib.contextmanager
+def needing(what: str, *extras: str) -> Iterator[None]:
+    """Import the server; raises `InputError` where a package of `extras` is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("lss_motion"):
+            raise
+        raise InputError(f"{what}: {install_command(*extras)}") from None
+
+
+class Tls(NamedTuple):
+    """The files of TLS, both or none."""
+
+    certificate: str | None
+    key: str | None
+
+
+def tls_of(arguments: argparse.Namespace) -> Tls:
+    """Return the files of TLS; raises `InputError` for one alone, or one that cannot be read."""
+    from lss_motion.files.source import read_data
+
+    paths: tuple[Path | None, ...] = (arguments.tls_certificate, arguments.tls_key)
+    if paths.count(None) == 1:
+        raise InputError("--tls-certificate and --tls-key belong together")
+    for path in paths:
+        if path is not None:
+            read_data(path)
+    return Tls(*(None if path is None else str(path) for path in paths))
+
+
+def addresses_json(studio: Studio) -> dict[str, object]:
+    """Return where a server can be reached, for `--json`."""
+    return {
+        "url": studio.url,
+        "token": studio.door.token,
+        "stop": studio.stop_addresses[0].origin,
+        "addresses": [address.origin for address in studio.addresses],
+        "stops": [address.origin for address in studio.stop_addresses],
+    }
+
+
+def print_addresses(studio: Studio, name: str) -> None:
+    """Print where a server can be reached, each line after `name`."""
+    put(f"{name}: {studio.url}")
+    if studio.is_network_readable:
+        put(
+            "warning: without TLS others on this network can read along and take over; give "
+            "--tls-certificate and --tls-key",
+            sys.stderr,
+        )
+    for address in studio.addresses[1:]:
+        put(f"{name}: {address.origin}/")
+
+
 DESCRIPTION: Final = """\
+See and run a show in a browser: its plan, the moving figure, the state of every servo.
+
+  lss-motion studio wave.yaml                              at this computer
+  lss-motion studio wave.yaml --port /dev/ttyUSB0          on this port
+  lss-motion studio wave.yaml --listen 192.168.1.20        for a tablet, too
+
+Open the address that is printed; it holds the key to the robot, so keep it to yourself. Other
+devices pair with a code that the page shows. Everyone who may look may stop, one client operates.
+A file that changes on disk is planned again. Ctrl-C stops the show and ends.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the commands of this module."""
+    _add_serve(commands)
+    studio = add_command(commands, "studio", _studio, DESCRIPTION)
+    studio.add_argument(
+        "file", type=Path, metavar="FILE", help="a sequence, a gait, a play list or a robot (.yaml)"
+    )
+    add_options(studio, "--port", "--robot", "--robot-cache")
+    studio.add_argument(
+        "--listen",
+        default="",
+        metavar="ADDRESS[:PORT]",
+        help="serve this address of the computer, too; :PORT alone sets the port (default: any)",
+    )
+    add_options(studio, "--tls-certificate", help="serve that address with TLS")
+    add_options(studio, "--tls-key")
+    add_options(
+        studio,
+        "--on-operator-lost",
+        help="what a show does when its operator, or the server, is gone (default go_on)",
+    )
+    studio.add_argument("--no-browser", action="store_true", help="print the address only")
+    add_options(studio, "--allow-run", "--json")
+
+
+def _studio(arguments: argparse.Namespace) -> int:
+    with needing("the studio needs three packages", "studio"):
+        from lss_motion.studio.server import serve
+    from lss_motion.files.source import read_data
+    from lss_motion.studio.desk import DeskOptions
+    from lss_motion.studio.studio import StudioOptions
+
+    read_data(arguments.file)  # What cannot be read is said here, not in the browser.
+    host, port = _address(arguments.listen)
+    tls = tls_of(arguments)
+    options = StudioOptions(
+        path=arguments.file,
+        robot_path=arguments.robot,
+        backup=arguments.robot_cache,
+        port=arguments.port,
+        listen_host=host,
+        listen_port=port,
+        certificate=tls.certificate,
+        key=tls.key,
+        desk=DeskOptions(on_lost=arguments.on_operator_lost, may_run=arguments.allow_run),
+    )
+    serve(
+        options,
+        lambda studio: _tell(studio, is_json=arguments.json),
+        opens=not (arguments.no_browser or arguments.json) and has_desktop(),
+    )
+    return EXIT_FINISHED
+
+
+def _tell(studio: Studio, *, is_json: bool) -> None:
+    if is_json:
+        print_json(addresses_json(studio))
+        return
+    print_addresses(studio, "studio")
+    if len(studio.addresses) > 1:
+        _print_code(studio, "operate")
+        _make_codes_on_enter(studio)
+    put("Ctrl-C stops the show and ends")
+
+
+def _print_code(studio: Studio, role: RoleName) -> None:
+    code = studio.make_code(role)
+    put(f"studio: code {code[:3]} {code[3:]} gives one device the role {role}, for two minutes")
+
+
+def _make_codes_on_enter(studio: Studio) -> None:
+    """Let a person at the terminal make more codes: Enter, or the name of a role."""
+    import asyncio
+
+    from lss_motion.studio.access import ROLE_NAMES
+
+    if not is_at_keyboard():
+        return
+    put("studio: Enter makes another code; so do the words view, operate and edit")
+
+    def read() -> None:
+        line = sys.stdin.readline()
+        if not line:
+            asyncio.get_running_loop().remove_reader(sys.stdin)
+            return
+        word = line.strip().lower() or "operate"
+        for role in ROLE_NAMES:
+            if role == word:
+                _print_code(studio, role)
+                return
+        put(f"{word!r} is no role: {', '.join(ROLE_NAMES)}")
+
+    asyncio.get_running_loop().add_reader(sys.stdin, read)
+
+
+def _address(text: str) -> tuple[str | None, int]:
+    """Return host and port of `--listen`."""
+    host, colon, port = text.rpartition(":") if text.count(":") == 1 else (text, "", "")
+    if host in ("0.0.0.0", "::", "*"):  # noqa: S104  (refused)
+        raise InputError(f"--listen {host}: give the one address that the tablet reaches")
+    if colon and not (port.isascii() and port.isdigit() and int(port) < 65536):
+        raise InputError(f"--listen {text}: the port is a number below 65536")
+    return host or None, int(port) if colon else 0
+
+
+def has_desktop() -> bool:
+    """Return whether there is a screen to open a browser on."""
+    if sys.platform == "darwin":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+SERVE_TEXT: Final = """\
 Run a stage: its idle show, and the shows that cues start, until it is ended. Cues come from
 sensors, keys, OSC, HTTP, MIDI, sACN, MQTT, pins, times of day and timecode, as the stage file has
 them. Its page in a browser has the cues with GO, their state, the servos and STOP.
@@ -55,13 +236,12 @@ for); 5 the robot did not follow.
 TOKEN_BYTES: Final = 32
 
 
-def add_to(commands: Commands) -> None:
-    """Add the command of this module."""
+def _add_serve(commands: Commands) -> None:
     serve = add_command(
         commands,
         "serve",
         _serve,
-        DESCRIPTION,
+        SERVE_TEXT,
     )
     serve.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
     add_options(serve, "--port", "--robot", "--robot-cache")
@@ -162,7 +342,7 @@ def _sources(stage: Stage, figure: str) -> Sources:
     """Return what opens the triggers at a figure, in a thread of their own."""
     from msgspec.structs import replace
 
-    with served.needing("a stage needs some packages", "stage", "studio"):
+    with needing("a stage needs some packages", "stage", "studio"):
         from lss_motion.studio.inlets import inlets_thread, require_packages
     listen = stage.figures[figure].listen
     assert listen is not None
@@ -172,7 +352,7 @@ def _sources(stage: Stage, figure: str) -> Sources:
 
 
 def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
-    with served.needing("a stage needs some packages", "stage", "studio"):
+    with needing("a stage needs some packages", "stage", "studio"):
         from lss_motion.studio.inlets import require_packages
         from lss_motion.studio.server import serve
         from lss_motion.studio.stage_service import ServiceOptions, StageService
@@ -181,7 +361,7 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
     from lss_motion.system.service import Notifier
 
     require_packages(stage)
-    tls = served.tls_of(arguments)
+    tls = tls_of(arguments)
     host, port = stage.listen.http or (None, 0)
     start_at = arguments.start_at
     job = {
@@ -223,7 +403,7 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
 
     failure = serve(
         options,
-        lambda studio: _tell(studio, services[0], is_json=arguments.json),
+        lambda studio: _tell_stage(studio, services[0], is_json=arguments.json),
         opens=False,
         make_service=make_service,
     )
@@ -236,12 +416,12 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
     return EXIT_FINISHED
 
 
-def _tell(studio: Studio, service: StageService, *, is_json: bool) -> None:
+def _tell_stage(studio: Studio, service: StageService, *, is_json: bool) -> None:
     """Print where the stage can be operated, and take keys."""
     if is_json:
-        print_json(served.addresses_json(studio))
+        print_json(addresses_json(studio))
     else:
-        served.print_addresses(studio, "stage")
+        print_addresses(studio, "stage")
         if len(studio.addresses) > 1 and is_at_keyboard():
             code = studio.make_code("operate")
             put(f"stage: code {code[:3]} {code[3:]} lets one device operate, for two minutes")
