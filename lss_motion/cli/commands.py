@@ -48,6 +48,8 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "jog": ("jog", "move joints with keys; write poses into the robot file"),
         "import": ("exchange", "turn another tool's motion into a sequence file"),
         "export": ("exchange", "write the motion of a sequence for other tools"),
+        "publish": ("publish", "write a show as one page for others"),
+        "verify": ("publish", "plan the show in such a page again, and compare"),
         "beats": ("beats", "find the beats of music, and put them into a show"),
     },
     "play it": {

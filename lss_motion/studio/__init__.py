@@ -24,5 +24,6 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `stopping`    | the server's end of the process that only stops            | `studio`           |
 | `stop`        | the process that only stops                                | `stopping`         |
 | `web`         | listening sockets, and uvicorn as both servers use it      | `server`, `stop`   |
+| `publish`     | a show as one page, and whether such a page is consistent  | `cli.publish`      |
 | `static`      | the pages: plain ES modules, no build step                 | the browser        |
 """
