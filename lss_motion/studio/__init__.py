@@ -25,5 +25,6 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `stop`        | the process that only stops                                | `stopping`         |
 | `web`         | listening sockets, and uvicorn as both servers use it      | `server`, `stop`   |
 | `publish`     | a show as one page, and whether such a page is consistent  | `cli.publish`      |
+| `entrance`    | who may be connected: few strangers, shares of roles       | `web`              |
 | `static`      | the pages: plain ES modules, no build step                 | the browser        |
 """

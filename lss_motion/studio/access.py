@@ -116,6 +116,13 @@ def decide(asked: Asked, door: Door) -> Role | Denied:
     return Denied(401, STRANGER) if role is None else role
 
 
+def proved(asked: Asked, door: Door) -> Role | None:
+    """Return the role that a request proves by a secret, whatever it is for; None: no secret."""
+    if asked.bearer is not None:
+        return Role.EDIT if door.is_token(asked.bearer) else None
+    return role_of(asked.cookie, door.token)
+
+
 def _is_of_another_site(asked: Asked, door: Door) -> bool:
     """Return whether a page that is not ours has caused a request."""
     if asked.origin is not None:

@@ -20,8 +20,9 @@ from starlette.websockets import WebSocketDisconnect
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_data
-from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie
+from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie, proved
 from lss_motion.studio.client import Allowance, Client
+from lss_motion.studio.entrance import admit
 from lss_motion.studio.web import json_body
 
 if TYPE_CHECKING:
@@ -112,8 +113,10 @@ class Guard:
         other = Purpose.DATA if scope.get("method") in ("GET", "HEAD") else Purpose.STOP
         purpose = Purpose.PAGE if is_page else PURPOSES.get(path, other)
         door = self._studio.door
-        found = decide(asked_of(purpose, HTTPConnection(scope).headers, door), door)
-        scope["role"] = found
+        asked = asked_of(purpose, HTTPConnection(scope).headers, door)
+        found = scope["role"] = decide(asked, door)
+        if not isinstance(found, Denied) and (role := proved(asked, door)) is not None:
+            admit(scope, role)
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":

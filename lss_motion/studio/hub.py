@@ -22,8 +22,9 @@ OPERATOR_SILENT_S: Final = 5.0
 """An operator that sends nothing for so long is lost: a page sends `beat` once a second."""
 OPERATOR_GRACE_S: Final = 3.0
 """An operator that is gone may come back within this time: a page that is loaded again does."""
-CLIENTS_MAX: Final = 32
-"""More are refused. Chosen: a class of students."""
+CLIENTS_MAX: Final = {Role.VIEW: 32, Role.OPERATE: 16, Role.EDIT: 16}
+"""More of a role are refused; no role takes a place of another. Chosen: a class of students that
+look, and a few persons at the robot, each with some pages."""
 EDITS: Final = (m.PoseSave, m.Pair)
 """Operations that need the role `edit`."""
 ALWAYS: Final = (m.Stop, m.Estop, m.Beat)
@@ -75,8 +76,8 @@ class Hub:
     # ---- clients
 
     def join(self, role: Role, name: str, now_s: float, place: int = 0) -> Client | None:
-        """Add a client and tell it the state; None: there are too many."""
-        if len(self.clients) >= CLIENTS_MAX:
+        """Add a client and tell it the state; None: its role has too many."""
+        if sum(one.role is role for one in self.clients.values()) >= CLIENTS_MAX[role]:
             return None
         client = Client(self._next_client, role, name, place)
         self._next_client += 1

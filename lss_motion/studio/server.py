@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import InputError
 from lss_motion.studio.app import make_app
+from lss_motion.studio.entrance import PAGES_SHARES
 from lss_motion.studio.studio import Listening, Studio, StudioOptions
 from lss_motion.studio.web import LOOPBACK, Address, listen, make_server
 
@@ -109,6 +110,7 @@ async def _serve(
         is_tls = one.address.is_tls
         server = make_server(
             app,
+            PAGES_SHARES,
             certificate=options.certificate if is_tls else None,
             key=options.key if is_tls else None,
         )

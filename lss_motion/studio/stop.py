@@ -18,6 +18,7 @@ from msgspec import Struct
 
 from lss_motion.playing.remote.schema import Estop, Stop
 from lss_motion.studio.access import Denied, Door, Purpose, asked_of, decide
+from lss_motion.studio.entrance import STOP_SHARES, admit
 from lss_motion.studio.latch import Latch, StopKind
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError, TypedPipe
 
@@ -171,6 +172,7 @@ class StopPages:
         found = decide(asked_of(Purpose.STOP, headers, self._door), self._door)
         if isinstance(found, Denied):
             return found.status, found.text
+        admit(scope, found)
         self._stopper.stop("estop" if scope["path"] == "/estop" else "stop")
         return 204, ""
 
@@ -193,6 +195,7 @@ async def serve(control: MessagePipe, latch: Latch, listening: list[socket.socke
         is_plain = own.getsockname()[0] == LOOPBACK
         server = make_server(
             StopPages(stopper, settings.door),
+            STOP_SHARES,
             certificate=None if is_plain else settings.certificate,
             key=None if is_plain else settings.key,
             has_sockets=False,

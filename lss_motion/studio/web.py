@@ -11,13 +11,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import uvicorn
 from msgspec import Struct
+from starlette.requests import ClientDisconnect
 
 from lss_motion.errors import InputError
+from lss_motion.studio.entrance import Entrance, log_briefly
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Iterator
 
     from starlette.requests import Request
+
+    from lss_motion.studio.entrance import Shares
 
 LOOPBACK: Final = "127.0.0.1"
 FRAME_MAX_BYTES: Final = 8192
@@ -108,25 +113,58 @@ def own_addresses() -> list[str]:
 
 
 class Server(uvicorn.Server):
-    """A server that leaves signals to its program."""
+    """A server that leaves signals to its program, and connections to its `Entrance`."""
+
+    def __init__(self, config: uvicorn.Config, entrance: Entrance) -> None:
+        super().__init__(config)
+        self._entrance = entrance
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Change no signal handler."""
         yield
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve one socket."""
+        await super().startup(sockets=[])
+        assert sockets is not None
+        (own,) = sockets
+        config, state = self.config, self.server_state
+
+        def make_protocol() -> asyncio.Protocol:
+            make: Any = config.http_protocol_class
+            made: asyncio.Protocol = make(
+                config=config, server_state=state, app_state=self.lifespan.state
+            )
+            return made
+
+        self._entrance.open(own, make_protocol, config.ssl)
+
+    async def on_tick(self, counter: int) -> bool:
+        """Look after the connections; return whether to end."""
+        self._entrance.look()
+        return await super().on_tick(counter)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End what is served."""
+        self._entrance.close()
+        await super().shutdown(sockets)
+
 
 def make_server(
     app: Any,  # noqa: ANN401  (an ASGI application)
+    shares: Shares,
     *,
     certificate: str | None = None,
     key: str | None = None,
     has_sockets: bool = True,
 ) -> Server:
     """Return a server for one listening socket, with TLS if there is a certificate."""
+    log_briefly()
+    entrance = Entrance(app, shares)
     return Server(
         uvicorn.Config(
-            app,
+            entrance,
             ssl_certfile=certificate,
             ssl_keyfile=key,
             http="h11",
@@ -140,17 +178,19 @@ def make_server(
             proxy_headers=False,
             server_header=False,
             timeout_graceful_shutdown=CLOSE_S,
-        )
+        ),
+        entrance,
     )
 
 
 async def json_body(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a body; an empty one for whatever else it is."""
+    """Return the JSON object of a body; an empty one for whatever else it is, or is cut off."""
     body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > BODY_MAX_BYTES:
-            return {}
+    with contextlib.suppress(ClientDisconnect):
+        async for part in request.stream():
+            body += part
+            if len(body) > BODY_MAX_BYTES:
+                return {}
     try:
         value = json.loads(body)
     except (ValueError, RecursionError):

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import signal
+import socket
 import ssl
 import time
 import urllib.error
 import urllib.request
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -279,3 +282,25 @@ def test_a_port_that_is_lost_in_the_middle_of_a_show_is_said(on_terminal, servo,
     assert one.wait("player", latch="stop")["state"] == "stopping"
     assert one.wait("player", state="ended")["latch"] == "stop"
     assert one.last("robot")["state"] == "off"
+
+
+def test_strangers_of_the_network_leave_a_stop_what_it_needs(studio, tmp_path, monkeypatch):
+    """More of them than both processes have file numbers; nothing is a traceback, to the end."""
+    monkeypatch.chdir(tmp_path)
+    server, told = studio()
+    with contextlib.ExitStack() as stack:
+        for pid in (server.pid, children(server.pid)["stop"]):
+            resource.prlimit(pid, resource.RLIMIT_NOFILE, (128, 128))
+        browser = Browser(told)
+        for origin in (told["stop"], told["addresses"][0]):
+            where = (urlsplit(origin).hostname, urlsplit(origin).port)
+            for number in range(200):
+                own = stack.enter_context(socket.create_connection(where, timeout=WAIT_S))
+                if number % 50 == 0:
+                    own.sendall(b"POST /session HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n{")
+            assert post(told, "/estop", origin) == 204
+        browser.wait("player", latch="estop")
+        server.send_signal(signal.SIGTERM)  # The browser's websocket is open.
+        server.ended()
+    assert "Traceback" not in server.errors
+    assert len(server.errors.splitlines()) < 10, server.errors

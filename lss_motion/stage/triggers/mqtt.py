@@ -246,9 +246,7 @@ class MqttLink:
         client.on_connect = lambda *found: self._call(self._connected, found[3])
         client.on_connect_fail = lambda *_: self._call(self._say, "cannot be reached")
         client.on_disconnect = lambda *_: self._call(self._say, "is gone")
-        client.on_message = lambda *found: self._call(
-            self._take, found[2].topic, bytes(found[2].payload), found[2].retain
-        )
+        client.on_message = lambda *found: self._call(self._take, found[2])
         client.connect_async(broker.host, broker.port, KEEP_ALIVE_S)
         client.loop_start()
 
@@ -309,13 +307,17 @@ class MqttLink:
             host, port = self._broker.host, self._broker.port
             self._note(f"MQTT: {host}:{port} {what}; it is tried again")
 
-    def _take(self, topic: str, payload: bytes, is_old: bool) -> None:  # noqa: FBT001
+    def _take(self, message: Any) -> None:  # noqa: ANN401  (of the library)
         """Obey a message; not one that the broker has kept: it was sent some time ago."""
         now_s = self._loop.time()
-        if is_old or not self.gate.admits("127.0.0.1", now_s):
+        if message.retain or not self.gate.admits("127.0.0.1", now_s):
             return
         try:
+            topic, payload = message.topic, bytes(message.payload)  # It decodes the topic here.
             operation = operation_of(topic, payload, self.base, self.cues, self.levels)
+        except UnicodeDecodeError:
+            self.gate.complaints.add("a topic that is not UTF-8 is ignored", now_s)
+            return
         except InputError as error:
             self.gate.complaints.add(str(error), now_s)
             return

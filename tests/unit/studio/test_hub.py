@@ -180,10 +180,19 @@ def test_events_keep_their_order_and_a_client_that_is_too_slow_is_closed(hub):
 
 
 def test_clients_are_counted_and_bounded(hub):
-    clients = [hub.join(Role.VIEW, "x", 0.0) for _ in range(CLIENTS_MAX)]
-    assert hub.join(Role.EDIT, "x", 0.0) is None
+    most = CLIENTS_MAX[Role.VIEW]
+    clients = [hub.join(Role.VIEW, "x", 0.0) for _ in range(most)]
+    assert hub.join(Role.VIEW, "x", 0.0) is None
     hub.leave(clients[0], 0.0)
-    assert of(clients[1], "links")[-1] == {"event": "links", "clients": CLIENTS_MAX - 1}
+    assert of(clients[1], "links")[-1] == {"event": "links", "clients": most - 1}
+
+
+def test_who_only_looks_takes_no_place_of_an_operator(hub):
+    while hub.join(Role.VIEW, "x", 0.0) is not None:
+        pass
+    for role in (Role.OPERATE, Role.EDIT):
+        joined = [hub.join(role, "x", 0.0) for _ in range(CLIENTS_MAX[role] + 1)]
+        assert joined.index(None) == CLIENTS_MAX[role]
 
 
 def test_a_client_that_floods_is_read_at_a_steady_rate():

@@ -179,3 +179,52 @@ def test_home_assistant_gets_buttons_and_switches_with_unique_names():
     assert parts["cue_scare"]["command_topic"] == "lss/Haunted_hall/cue/scare"
     assert parts["enable_scare"]["state_topic"] == "lss/Haunted_hall/enabled/scare"
     assert found["availability_topic"] == "lss/Haunted_hall/online"
+
+
+CONNACK = b"\x20\x02\x00\x00"
+
+
+def publish(topic, payload):
+    """Return a message as a broker sends it."""
+    content = len(topic).to_bytes(2, "big") + topic + payload
+    return bytes([0x30, len(content)]) + content
+
+
+@pytest.mark.parametrize(
+    ("sent", "said"),
+    [
+        ([CONNACK + publish(b"\xff\xfe", b"x") + publish(b"lss/hall/do", b"go")],
+         "test: a topic that is not UTF-8 is ignored"),
+        ([CONNACK + b"\x30\x01\x00", CONNACK + publish(b"lss/hall/do", b"go")],
+         "is gone; it is tried again"),
+    ],
+)  # fmt: skip
+def test_nothing_that_a_broker_sends_ends_the_link_for_good(sent, said):
+    """The broker sends this to one connection after the other."""
+    notes, operations = [], []
+
+    async def run():
+        left, done = list(sent), asyncio.Event()
+
+        async def serve(reader, writer):
+            await reader.read(1000)
+            writer.write(left.pop(0) if left else CONNACK)
+            await reader.read()  # Until the link is closed.
+            writer.close()
+
+        def obey(operation, _where):
+            operations.append(operation)
+            done.set()
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        broker = mqtt.Broker(host="127.0.0.1", port=port)
+        link = mqtt.MqttLink(broker, "hall", gate(notes), obey, notes.append)
+        link.open()
+        await asyncio.wait_for(done.wait(), 30.0)
+        await asyncio.to_thread(link.close)
+        server.close()
+
+    asyncio.run(run())
+    assert len(operations) == 1
+    assert any(said in note for note in notes)
