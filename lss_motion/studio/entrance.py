@@ -157,7 +157,7 @@ class Entrance:
                 ssl_shutdown_timeout=limit_s,
             )
 
-    # ---- who is there
+    # ---- connections
 
     def _make_room(self, role: Role | None) -> None:
         """Drop who has waited longest of those with a role, if they are too many."""
