@@ -160,14 +160,14 @@ class Entrance:
     # ---- connections
 
     def _make_room(self, role: Role | None) -> None:
-        """Drop who has waited longest of those with a role, if they are too many."""
+        """Drop the connection that has waited longest of those with a role, if they are too many."""
         self._places = [place for place in self._places if not place.is_gone or place.task is None]
         own = [place for place in self._places if place.role is role]
         if len(own) > self._shares[role]:
             min(own, key=lambda place: (place.is_answered, place.is_socket, place.since_s)).drop()
 
     def look(self) -> None:
-        """Drop who is late, or does not read; called ten times a second."""
+        """Drop connections that are late, or not read; called ten times a second."""
         now_s = time.monotonic()
         self._places = [place for place in self._places if not place.is_gone]
         for place in self._places:
