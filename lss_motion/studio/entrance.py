@@ -160,7 +160,7 @@ class Entrance:
     # ---- connections
 
     def _make_room(self, role: Role | None) -> None:
-        """Drop the connection that has waited longest of those with a role, if they are too many."""
+        """Drop the connection with a role that has waited longest, if there are too many."""
         self._places = [place for place in self._places if not place.is_gone or place.task is None]
         own = [place for place in self._places if place.role is role]
         if len(own) > self._shares[role]:
