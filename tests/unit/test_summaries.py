@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -13,6 +14,7 @@ from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.shows import Show
 from lss_motion.planning.summaries import limit_uses, plan_lines, program_lines
 from lss_motion.planning.trajectory import kept_plans
+from lss_motion.planning.trajectory.model import motions_of
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.show.load import load_sequence
@@ -48,8 +50,10 @@ def test_what_is_said_about_speed_is_true(robot):
     sequence = show((0.0, 0.0), (1.0, 50.0), (2.5, -40.0))
     use = min(limit_uses(plan(sequence, robot), robot), key=lambda use: use.faster_ratio)
     ratio = math.floor(100.0 * use.faster_ratio) / 100.0
-    assert not plan(replace(sequence, speed_ratio=ratio), robot).stretched
-    assert plan(replace(sequence, speed_ratio=1.02 * ratio), robot).stretched
+    for factor, is_on_curve in ((1.0, True), (1.02, False)):
+        found = plan(replace(sequence, speed_ratio=factor * ratio), robot)
+        (motion,) = {id(part): part for part in motions_of(found)}.values()
+        assert bool(np.all(motion.clock.rates == 1.0)) == is_on_curve
 
 
 def test_a_show_at_its_limits_says_so(robot):

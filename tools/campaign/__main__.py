@@ -26,14 +26,20 @@ from typing import TYPE_CHECKING, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from campaign import readers, shows, stages, walks
+from campaign import anchors, readers, shows, stages, walks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from campaign import Told
 
-KINDS: Final = {"shows": shows, "walks": walks, "stages": stages, "readers": readers}
+KINDS: Final = {
+    "anchors": anchors,
+    "shows": shows,
+    "walks": walks,
+    "stages": stages,
+    "readers": readers,
+}
 SAYS_EVERY_S: Final = 60.0
 """How often it says how far it has come."""
 SHOWN: Final = 6

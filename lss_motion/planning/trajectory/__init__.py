@@ -15,6 +15,9 @@
 | `commands.py`   | the ease `command`: what servos do by themselves     | curves, keep_time       |
 | `path.py`       | cubics of all joints over the path position          | all that plan           |
 | `retime.py`     | paths of a sequence, and the clock that follows them | tracks, layers, planner |
+| `dues.py`       | what the author wants, and how late a motion is      | catch_up, explain       |
+| `free_spans.py` | where the motion may leave the author's curve        | catch_up                |
+| `ahead.py`      | ahead of that curve, on time at the keys             | catch_up                |
 | `catch_up.py`   | faster while late, back at the author's pace in time | retime                  |
 | `keep_time.py`  | joints that keep their time, beside others           | planner                 |
 | `keep_joint.py` | one of them: windows, exact keys, what is given up   | keep_time               |

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.trajectory.solver import RateTask
 
     FloatArray = NDArray[np.float64]
+    BoolArray = NDArray[np.bool_]
 
 REACH_S: Final = 0.6
 """Braking begins at most this long before it ends. Measured: from rate 2 it takes up to 0.4 s."""
@@ -63,6 +64,10 @@ class Brakes:
         self.squares = window.squares
         self.low = low
 
+    def bounds_behind(self, first: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Return width and tilt of the square at the end of each cell from `first` on."""
+        return _bounds(self.by_end[first:], self.by_start[first:])
+
     def before(self, at: int) -> FloatArray | None:
         """Return the squares up to grid point `at`, 1 there; None if that cannot be reached."""
         square = 1.0
@@ -82,7 +87,7 @@ class Brakes:
 
         They do not exceed 1 before grid point `slow`. None: the window is not met.
         """
-        width, tilt = _bounds(self.by_end[at - self.low :], self.by_start[at - self.low :])
+        width, tilt = self.bounds_behind(at - self.low)
         square = 1.0
         found = []
         for cell in range(len(width)):
@@ -110,18 +115,19 @@ def braked(
     whole: RateWindow,
     early: int,
     lateness: Callable[[RateWindow], FloatArray],
-    after_s: float,
+    is_due: BoolArray,
 ) -> RateWindow | None:
     """Return `whole` with brakes, so that it is not early at grid point `early`, the first such.
 
     The window ends where the motion is on time, at rate 1. If it has to be slow before that could
     be, it is as long as `whole`, and on time for an instant before that slow part. None: there is
     no such motion in closed form. `lateness` returns that of a window on the first grid points of
-    `whole`; it counts behind the position `after_s`.
+    `whole`; it counts at those that are due.
     """
 
     def least_s(window: RateWindow) -> float:
-        return float(lateness(window)[window.grid_s > after_s].min(initial=math.inf))
+        late_s = lateness(window)
+        return float(late_s[is_due[: len(late_s)]].min(initial=math.inf))
 
     grid_s, end = whole.grid_s, len(whole.grid_s) - 1
     high = min(end, early + CELLS_MAX)

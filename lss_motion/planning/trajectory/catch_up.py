@@ -1,8 +1,10 @@
 """Making up for lateness: while the motion is late it goes faster than authored, until it is not.
 
-The rate is 1 where the motion is on time. From a span that is too slow on, it may rise to
-`PACE_MAX`, and comes back to 1 where the motion is on time again. It is never early. Holds keep
-their length. Where an anchor would be late, the way to it becomes as fast as it needs.
+The rate is 1 where the motion is on time. In a span between keys where a limit binds
+(`free_spans`), it is what the limits allow, as long as no key is early (`ahead`). Behind one that
+leaves the motion late, it may rise to `PACE_MAX`, and comes back to 1 where the motion is on time
+again; there it is never early. Holds keep their length. Where an anchor would be late, the way to
+it becomes as fast as it needs.
 
 `_Sweep` goes along the path, from one slow window to the next. Each is solved once, as fast as it
 can be, up to where it is guessed to be on time; if it is late there, the solution is continued.
@@ -12,16 +14,21 @@ nothing (about one in fifty), the end is sought with more solutions.
 
 from __future__ import annotations
 
+import itertools
 import math
 from bisect import bisect_left, bisect_right
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import replace
 
+from lss_motion.planning.trajectory.ahead import KeptKeys, kept_keys
 from lss_motion.planning.trajectory.braking import braked, mixed
 from lss_motion.planning.trajectory.curves import peaks
+from lss_motion.planning.trajectory.dues import EARLY_S, Dues
+from lss_motion.planning.trajectory.free_spans import MARGIN_CELLS, MARGIN_S, free_windows, without
 from lss_motion.planning.trajectory.solver import (
     MARGIN_RATIO,
     RATE_SLACK,
@@ -29,10 +36,10 @@ from lss_motion.planning.trajectory.solver import (
     is_legal,
     solve,
 )
-from lss_motion.show.splines import distinct, runs
+from lss_motion.show.splines import distinct
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -52,9 +59,6 @@ PACE_STEPS: Final = 5
 
 LATE_MIN_S: Final = 1e-5
 """Less lateness is not made up: a hundredth of a millisecond."""
-
-EARLY_S: Final = 1e-8
-"""Earliness by rounding."""
 
 ANCHOR_LATE_S: Final = 1e-4
 """An anchor that is later makes the motion before it faster. A tenth of what an anchor allows."""
@@ -94,49 +98,15 @@ BRAKE_S: Final = 0.25
 """What is solved again begins this long before the motion is on time, and twice as long before
 where the rate must fall earlier."""
 
-HEAD_START_S: Final = 0.001
-"""Where a motion would be early as soon as it may be fast, it must first be so late."""
-
 TIGHT_RATIO: Final = 0.01
 """Segments authored so near a limit may use all of it, so that rate 1 is never too fast."""
 
-MARGIN_S: Final = 0.03
-MARGIN_CELLS: Final = 2
-"""Around a slow part so much is solved with it: the grid on which it was found is coarse."""
+GENTLE_ROUNDS: Final = 3
+"""Attempts to pass keys at rate 1 although they could be passed faster."""
 
-
-class Dues(Struct, frozen=True, kw_only=True):
-    """What the author wants along a path: times, holds, anchors and where lateness starts anew.
-
-    `held` has from where to where a hold must be kept, (n, 2), in order and apart. At `seams_s` one
-    pass ends and the next begins. A pass does not make up for the lateness of another.
-    """
-
-    authored: Callable[[FloatArray], FloatArray]
-    held: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    anchors_s: tuple[float, ...] = ()
-    seams_s: tuple[float, ...] = ()
-
-    def spent(self, from_s: float, to_s: float) -> float:
-        """Return the authored time between two positions."""
-        start_s, end_s = self.authored(np.array([from_s, to_s])).tolist()
-        return float(end_s - start_s)
-
-    def lateness(self, window: RateWindow, late_s: float) -> FloatArray:
-        """Return how late the motion is at each grid point, if it is `late_s` at the first."""
-        authored_s = self.authored(window.grid_s)
-        passed_s = np.concatenate([[0.0], np.cumsum(window.spent_s)])
-        return np.asarray(late_s + passed_s - (authored_s - authored_s[0]))
-
-    def least_s(self, window: RateWindow, late_s: float, after_s: float) -> float:
-        """Return the least lateness behind a position, negative where the motion is early."""
-        lateness_s = self.lateness(window, late_s)[window.grid_s > after_s]
-        return float(lateness_s.min(initial=math.inf))
-
-    def is_held(self, from_s: float, to_s: float) -> bool:
-        """Return whether a hold covers these positions, between which no hold starts or ends."""
-        middle_s = 0.5 * (from_s + to_s)
-        return bool(((self.held[:, 0] < middle_s) & (middle_s < self.held[:, 1])).any())
+HASTE_S: Final = 1.0
+"""Before a key that is later with them, keys may be passed faster. Chosen: braking from and to rate
+1 takes a few tenths of a second."""
 
 
 def made_up(
@@ -152,10 +122,17 @@ def made_up(
     if not windows:
         return []
     for is_eased in (True, False):
+        sweep = partial(_Sweep, task, windows, stops_s, dues, is_eased=is_eased)
         try:
-            return _Sweep(task, windows, stops_s, dues, is_eased=is_eased).run()
+            usual = sweep()
+            found = usual.run()
+            if usual.missed_s:
+                urgent = sweep(urgent_s=usual.missed_s)
+                hurried = urgent.run()
+                found = hurried if len(urgent.missed_s) < len(usual.missed_s) else found
         except _RateJumpError:
             continue
+        return found
     return None
 
 
@@ -172,25 +149,6 @@ def _from(window: RateWindow, whole: RateWindow, head: int) -> RateWindow:
 
 class _RateJumpError(Exception):
     """A window would begin at a lower rate than the motion before it has."""
-
-
-def _slow_parts(window: RateWindow) -> Iterator[RateWindow]:
-    """Yield the parts of a window in which the rate is below 1, with a margin on both sides."""
-    squares, count = window.squares, len(window.squares)
-    is_near = np.zeros(count - 1, dtype=np.bool_)
-    for first, end in runs(np.minimum(squares[:-1], squares[1:]) < 1.0):
-        low = np.searchsorted(window.grid_s, window.grid_s[first] - MARGIN_S, side="right") - 1
-        high = np.searchsorted(window.grid_s, window.grid_s[end] + MARGIN_S, side="left")
-        low, high = min(low, first - MARGIN_CELLS), max(high, end + MARGIN_CELLS)
-        is_near[max(low, 0) : high] = True
-    for first, end in runs(is_near):
-        yield RateWindow(window.grid_s[first : end + 1], squares[first : end + 1])
-
-
-def _late_from(window: RateWindow, dues: Dues, late_s: float) -> float:
-    """Return from where on the motion is later than `late_s`; the end if it never is."""
-    is_late = (dues.lateness(window, 0.0) > late_s) & (window.squares < 1.0)
-    return float(window.grid_s[int(np.argmax(is_late))]) if is_late.any() else window.to_s
 
 
 class _Place(Struct, frozen=True):
@@ -234,26 +192,29 @@ class _Sweep:
         dues: Dues,
         *,
         is_eased: bool,
+        urgent_s: Sequence[float] = (),
     ) -> None:
         self.task = replace(task, knot_caps={}, shares=_shares(task) if is_eased else None)
         self.dues = dues
-        self.windows: list[RateWindow] = []
-        self.is_fixed: list[bool] = []
-        for window in windows:
-            is_fixed = any(window.from_s < seam < window.to_s for seam in dues.seams_s)
-            parts = [window] if is_fixed else list(_slow_parts(window))
-            self.windows += parts
-            self.is_fixed += [is_fixed] * len(parts)
-        self.starts_s = [window.from_s for window in self.windows]
-        fixed_s = [s for s, fixed in zip(self.starts_s, self.is_fixed, strict=True) if fixed]
-        free_s = [seam for seam in dues.seams_s if self._window_at(seam) is None]
         self.stops_s = frozenset(stops_s.tolist())
         self.end_s = float(task.path.knots_s[-1])
+        fixed, spans = free_windows(windows, stops_s, self.end_s, dues, urgent_s)
+        keys_s = [key for span in spans for key in itertools.pairwise(span.keys_s)]
+        self.free_s = np.array(keys_s, dtype=np.float64).reshape(-1, 2)
+        self.calm_s = without(dues.held, self.free_s)
+        self.windows = sorted(
+            [*fixed, *(span.window for span in spans)], key=lambda window: window.from_s
+        )
+        self.is_fixed = [any(window is f for f in fixed) for window in self.windows]
+        self.starts_s = [window.from_s for window in self.windows]
+        fixed_s = [window.from_s for window in fixed]
+        free_s = [seam for seam in dues.seams_s if self._window_at(seam) is None]
         self.edges_s = sorted({*self.stops_s, *fixed_s, *free_s, self.end_s})
         rest_ends = (stops_s, dues.held.ravel(), dues.anchors_s, [self.end_s])
         self.rest_edges_s = distinct(np.concatenate([*map(np.asarray, rest_ends)])).tolist()
         self.is_rest = task.path.rests
         self.anchors_s = sorted(dues.anchors_s)
+        self.missed_s: list[float] = []
         self.pace = PACE_MAX
         self.rates = _rates(task, dues.held)
         self.at_s = min(self.starts_s, default=self.end_s)
@@ -310,6 +271,8 @@ class _Sweep:
                 else:
                     low = middle
             self._return_to(best)
+        else:
+            self.missed_s.append(anchor_s)
 
     def _late_at(self, anchor_s: float) -> bool:
         """Return whether an anchor at or shortly before the present place is missed."""
@@ -371,37 +334,23 @@ class _Sweep:
     def _follow(self, window: RateWindow | None) -> None:
         """Go on as fast as possible, from the start of a slow window or with lateness alone."""
         from_s, late_s = self.at_s, self.late_s
-        fast_s, lost_s, until_s = -math.inf, late_s, from_s
+        lost_s, until_s = late_s, from_s
         if window is not None:
             lost_s += max(0.0, float(self.dues.lateness(window, 0.0)[-1]))
-            until_s = window.grid_s[np.flatnonzero(window.squares < 1.0)[-1]]
-            if late_s <= LATE_MIN_S:
-                fast_s = _late_from(window, self.dues, 0.0)
+            slow = np.flatnonzero(window.squares < 1.0)
+            until_s = float(window.grid_s[slow[-1] if len(slow) else 0])
         edge_s = self.edges_s[bisect_right(self.edges_s, from_s)]
         wanted_s = self._guessed_s(until_s, lost_s)
-        needed_s = HEAD_START_S
         fastest: RateWindow | None = None
         while True:
             to_s = self._end(wanted_s, edge_s, until_s)
-            fastest = whole = self._fastest(fastest, from_s, to_s, fast_s)
-            if whole.squares[0] < 1.0 - RATE_SLACK and from_s not in self.stops_s:
+            fastest = self._fastest(fastest, from_s, to_s)
+            if fastest.squares[0] < 1.0 - RATE_SLACK and from_s not in self.stops_s:
                 raise _RateJumpError
+            whole, is_met = self._unhurried(fastest, late_s)
+            if not is_met and self._early(whole, late_s):
+                whole, is_met = self._settled(whole, late_s)
             lateness_s = self.dues.lateness(whole, late_s)
-            early = self._early(whole, lateness_s, fast_s)
-            if early and window and late_s + lateness_s[:early].max() <= LATE_MIN_S:
-                # It would be early before it is late: it must be slow for longer.
-                if fast_s >= window.to_s:
-                    whole = self._solved(from_s, window.to_s, (math.inf, math.inf))
-                    lateness_s = self.dues.lateness(whole, late_s)
-                    break
-                fast_s = _late_from(window, self.dues, needed_s)
-                needed_s *= 4.0
-                fastest = None
-                continue
-            is_met = False
-            if early:
-                whole, is_met = self._settled(whole, late_s, (fast_s, edge_s))
-                lateness_s = self.dues.lateness(whole, late_s)
             if is_met or to_s >= edge_s or lateness_s[-1] <= LATE_MIN_S:
                 break
             gain = max(1.0 - 1.0 / math.sqrt(float(whole.squares.max())), 0.1)
@@ -410,6 +359,65 @@ class _Sweep:
         self.found.append(whole)
         self.at_s = whole.to_s
         self.late_s = max(0.0, float(lateness_s[-1]))
+
+    def _unhurried(self, fastest: RateWindow, late_s: float) -> tuple[RateWindow, bool]:
+        """Return the window early at no key of its free spans, and whether it ends on time.
+
+        Keys that would be early are passed at most at rate 1, unless another key is later then.
+        """
+        keys = self._at_keys(fastest, late_s)
+        if keys is None:
+            return fastest, False
+        hasty_s = keys.hasty_s(self.stops_s)
+        for _ in range(GENTLE_ROUNDS):
+            if not hasty_s:
+                break
+            calmer = self._solved(fastest.from_s, fastest.to_s, calm_keys_s=hasty_s)
+            gentle = self._at_keys(calmer, late_s, hasty_s, keys.calm)
+            if gentle is None:
+                break
+            is_later = gentle.late_s > keys.late_s + LATE_MIN_S
+            if not is_later.any():
+                keys = gentle
+                break
+            later_s = float(keys.at_s[int(np.argmax(is_later))])
+            hasty_s = tuple(at_s for at_s in hasty_s if not later_s - HASTE_S <= at_s <= later_s)
+        return self._cut_behind(keys)
+
+    def _at_keys(
+        self,
+        fastest: RateWindow,
+        late_s: float,
+        calm_keys_s: tuple[float, ...] = (),
+        calm: RateWindow | None = None,
+    ) -> KeptKeys | None:
+        """Return the window early at no key of its free spans; None if there is no such span."""
+        inside = (self.free_s[:, 0] >= fastest.from_s) & (self.free_s[:, 1] <= fastest.to_s)
+        spans_s = self.free_s[inside]
+        if not len(spans_s):
+            return None
+        capped_s = set(calm_keys_s)
+        while True:
+            found = kept_keys(self.task, fastest, calm, spans_s, self.dues, late_s)
+            if isinstance(found, KeptKeys):
+                return found
+            if found is None:
+                calm = self._solved(fastest.from_s, float(spans_s[-1, 1]), until_s=-math.inf)
+                continue
+            if capped_s.issuperset(found):
+                raise _RateJumpError
+            capped_s |= set(found) if found[1] in capped_s else {found[1]}
+            fastest = self._solved(fastest.from_s, fastest.to_s, calm_keys_s=tuple(capped_s))
+
+    def _cut_behind(self, keys: KeptKeys) -> tuple[RateWindow, bool]:
+        """Return the window up to where the author's pace begins on time, and whether it does."""
+        window = keys.window
+        for at_s, late_s, square in zip(keys.at_s, keys.late_s, keys.squares, strict=True):
+            is_steady = abs(square - 1.0) < RATE_SLACK or at_s in self.stops_s
+            if is_steady and late_s <= LATE_MIN_S and at_s not in self.free_s[:, 0]:
+                end = int(np.abs(window.grid_s - at_s).argmin()) + 1
+                return RateWindow(window.grid_s[:end], window.squares[:end]), True
+        return window, False
 
     def _guessed_s(self, until_s: float, lost_s: float) -> float:
         """Return about where the motion is on time again that is `lost_s` late at a position."""
@@ -421,10 +429,8 @@ class _Sweep:
         saved_s = SAVED_RATIO * np.cumsum(np.diff(edges_s) * (1.0 - 1.0 / rates))
         return float(np.interp(lost_s, np.append(0.0, saved_s), edges_s)) + FIRST_S
 
-    def _fastest(
-        self, known: RateWindow | None, from_s: float, to_s: float, fast_s: float
-    ) -> RateWindow:
-        """Return the largest rates from a position to another; they may be above 1 behind `fast_s`.
+    def _fastest(self, known: RateWindow | None, from_s: float, to_s: float) -> RateWindow:
+        """Return the largest rates from a position to another.
 
         `known` has those up to an earlier end. Only what comes shortly before that is solved again:
         there the rate fell to 1.
@@ -432,9 +438,7 @@ class _Sweep:
         back_s = END_REACH_S
         while known and (head := self._head(known, known.to_s - back_s)):
             start_max = float(known.squares[head])
-            tail = self._solved(
-                float(known.grid_s[head]), to_s, (fast_s, math.inf), start_max=start_max
-            )
+            tail = self._solved(float(known.grid_s[head]), to_s, start_max=start_max)
             middle = self._head(known, known.to_s - 0.5 * back_s)
             found = float(np.interp(known.grid_s[middle], tail.grid_s, tail.squares))
             is_same = abs(found - known.squares[middle]) <= SAME_RATIO * found
@@ -444,33 +448,41 @@ class _Sweep:
                     np.concatenate([known.squares[:head], tail.squares]),
                 )
             back_s *= 2.0
-        return self._solved(from_s, to_s, (fast_s, math.inf))
+        return self._solved(from_s, to_s)
 
-    @staticmethod
-    def _early(whole: RateWindow, lateness_s: FloatArray, fast_s: float) -> int:
-        """Return the first grid point at which the motion is early; 0: none."""
-        is_early = (lateness_s < -EARLY_S) & (whole.grid_s > fast_s)
+    def _is_due(self, window: RateWindow) -> NDArray[np.bool_]:
+        """Return at which grid points the motion must not be early: inside of free spans it may."""
+        grid_s, starts_s, ends_s = window.grid_s, self.free_s[:, 0], self.free_s[:, 1]
+        begun = np.searchsorted(starts_s, grid_s - EARLY_S)
+        return np.asarray(begun == np.searchsorted(ends_s, grid_s + EARLY_S))
+
+    def _least_s(self, window: RateWindow, late_s: float) -> float:
+        """Return the least lateness where it counts, negative where the motion is early."""
+        lateness_s = self.dues.lateness(window, late_s)[self._is_due(window)]
+        return float(lateness_s.min(initial=math.inf))
+
+    def _early(self, whole: RateWindow, late_s: float) -> int:
+        """Return the first grid point at which the motion must not be early but is; 0: none."""
+        is_early = (self.dues.lateness(whole, late_s) < -EARLY_S) & self._is_due(whole)
         return int(np.argmax(is_early))
 
-    def _settled(
-        self, whole: RateWindow, late_s: float, bounds_s: tuple[float, float]
-    ) -> tuple[RateWindow, bool]:
+    def _settled(self, whole: RateWindow, late_s: float) -> tuple[RateWindow, bool]:
         """Return the window nowhere early, and whether it ends where the motion is on time.
 
         If it does not, the motion is on time only for an instant, before it has to be slow again.
         """
-        fast_s = bounds_s[0]
         before = 0
         while True:
-            lateness_s = self.dues.lateness(whole, late_s)
-            early = self._early(whole, lateness_s, fast_s)
+            early = self._early(whole, late_s)
             if not early:
                 return whole, False
             lateness = self._lateness_along(whole, late_s)
-            found = braked(self.task, whole, early, lateness, fast_s) if early > before else None
+            found = None
+            if early > before:
+                found = braked(self.task, whole, early, lateness, self._is_due(whole))
             if found is None or (found.to_s < whole.to_s and not self._is_freed(found.to_s)):
                 met_s = float(whole.grid_s[early - 1])
-                whole = self._on_time(whole, lateness_s, early, bounds_s)
+                whole = self._on_time(whole, late_s, early)
                 return self._cut(whole, met_s), True
             before, whole, is_whole = early, found, found.to_s == whole.to_s
             if not is_whole or abs(self.dues.lateness(whole, late_s)[-1]) <= LATE_MIN_S:
@@ -536,36 +548,43 @@ class _Sweep:
         The latter if that is behind `least_s`. Behind a slow part the rate may first have to rise
         above 1, and then needs room to fall.
         """
-        end_s = wanted_s
+        end_s = min(wanted_s, edge_s)
         while window := self._window_at(end_s):
             if window.from_s > least_s + NEXT_S:
                 return window.from_s
-            end_s = window.to_s + BRAKE_S
+            end_s = min(window.to_s + BRAKE_S, edge_s)
         return edge_s if end_s > edge_s - 2.0 * EARLY_S else end_s
 
     def _solved(
         self,
         from_s: float,
         to_s: float,
-        fast_s: tuple[float, float],
+        *,
+        until_s: float = math.inf,
         start_max: float | None = None,
+        calm_keys_s: tuple[float, ...] = (),
     ) -> RateWindow:
-        """Return the largest rates: up to 1, and up to the pace between the positions `fast_s`."""
+        """Return the largest rates: up to the pace before `until_s`, in free spans above it.
+
+        Behind that, in holds outside of free spans and at `calm_keys_s` they are at most 1.
+        """
         limits = (math.inf if at_s in self.stops_s else 1.0 for at_s in (from_s, to_s))
         begin_max, end_max = limits
+        free, calm = self.free_s, self.calm_s
+        keys_s = np.array(calm_keys_s)[:, None] + [[-EARLY_S, EARLY_S]]
         slow_s = [
             (float(window.grid_s[cell]), float(window.grid_s[cell + 1]))
             for window in self.windows[max(0, bisect_right(self.starts_s, from_s) - 1) :]
             if window.from_s < to_s
             for cell in np.flatnonzero(np.minimum(window.squares[:-1], window.squares[1:]) < 1.0)
         ]
-        held = self.dues.held
         return solve(
             replace(
                 self.task,
                 rate_max=self.pace,
-                fast_s=fast_s,
-                calm_s=held[(held[:, 1] > from_s) & (held[:, 0] < to_s)],
+                fast_s=(-math.inf, until_s),
+                calm_s=np.concatenate([calm[(calm[:, 1] > from_s) & (calm[:, 0] < to_s)], keys_s]),
+                free_s=free[(free[:, 1] > from_s) & (free[:, 0] < to_s)],
                 slow_s=np.array(slow_s),
             ),
             from_s,
@@ -574,26 +593,24 @@ class _Sweep:
             end_max=end_max,
         )
 
-    def _on_time(
-        self, whole: RateWindow, lateness_s: FloatArray, early: int, bounds_s: tuple[float, float]
-    ) -> RateWindow:
+    def _on_time(self, whole: RateWindow, late_s: float, early: int) -> RateWindow:
         """Return the window with the rate back at 1 where the motion is on time.
 
         `whole` goes on at the pace. It is early at its grid point `early` for the first time.
         """
-        fast_s, edge_s = bounds_s
+        lateness_s = self.dues.lateness(whole, late_s)
         least_s = -CATCH_UP_RATIO * float(lateness_s.max())
         head = self._head(whole, whole.grid_s[early - 1] - BRAKE_S)
         until_s, low_s, high_s = float(whole.grid_s[early - 1]), -math.inf, whole.to_s
         faster = whole
-        best_s = self.dues.least_s(whole, float(lateness_s[0]), fast_s)
+        best_s = self._least_s(whole, late_s)
         growth = 1.0
         for _ in range(ROUNDS_MAX):
             if low_s > -math.inf and (best_s >= least_s or high_s - low_s < END_ERROR_S):
                 break
-            to_s = self._end(max(until_s, float(whole.grid_s[head]) + MARGIN_S), edge_s)
-            tail, head = self._tail(whole, head, to_s, (fast_s, until_s))
-            found_s = self.dues.least_s(tail, float(lateness_s[head]), fast_s)
+            to_s = self._end(max(until_s, float(whole.grid_s[head]) + MARGIN_S), whole.to_s)
+            tail, head = self._tail(whole, head, to_s, until_s)
+            found_s = self._least_s(tail, float(lateness_s[head]))
             gain = max(1.0 - 1.0 / math.sqrt(float(tail.squares.max())), 0.05)
             if found_s >= 0.0:
                 low_s, growth = until_s, 2.0 * growth
@@ -603,18 +620,16 @@ class _Sweep:
             if not low_s < until_s < high_s:
                 until_s = 0.5 * (max(low_s, high_s - BRAKE_S) + high_s)
         low_s = max(low_s, float(whole.grid_s[0]))
-        slower, head = self._tail(whole, head, faster.to_s, (fast_s, low_s))
+        slower, head = self._tail(whole, head, faster.to_s, low_s)
         faster = _from(faster, whole, head)
-        tail = mixed(
-            slower, faster, lambda tail: self.dues.least_s(tail, float(lateness_s[head]), fast_s)
-        )
+        tail = mixed(slower, faster, lambda tail: self._least_s(tail, float(lateness_s[head])))
         return RateWindow(
             np.concatenate([whole.grid_s[:head], tail.grid_s]),
             np.concatenate([whole.squares[:head], tail.squares]),
         )
 
     def _tail(
-        self, whole: RateWindow, head: int, to_s: float, fast_s: tuple[float, float]
+        self, whole: RateWindow, head: int, to_s: float, until_s: float
     ) -> tuple[RateWindow, int]:
         """Return the largest rates from a grid point of `whole` to `to_s`, and that grid point.
 
@@ -622,11 +637,13 @@ class _Sweep:
         """
         while True:
             start_max = float(whole.squares[head])
-            tail = self._solved(float(whole.grid_s[head]), to_s, fast_s, start_max)
+            tail = self._solved(
+                float(whole.grid_s[head]), to_s, until_s=until_s, start_max=start_max
+            )
             if head == 0 or tail.squares[0] >= start_max - RATE_SLACK:
                 return tail, head
-            behind_s = max(2.0 * (fast_s[1] - float(whole.grid_s[head])), BRAKE_S)
-            head = min(head - 1, self._head(whole, fast_s[1] - behind_s))
+            behind_s = max(2.0 * (until_s - float(whole.grid_s[head])), BRAKE_S)
+            head = min(head - 1, self._head(whole, until_s - behind_s))
 
     def _head(self, whole: RateWindow, at_s: float) -> int:
         """Return the grid point of `whole` at or before a position."""

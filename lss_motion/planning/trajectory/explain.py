@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from lss_motion.errors import PlanningError
 from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
 from lss_motion.planning.trajectory.model import Mark, SlowSpan
-from lss_motion.show.splines import runs
+from lss_motion.show.splines import distinct, runs
 from lss_motion.units import significant
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.planning.trajectory.catch_up import Dues
     from lss_motion.planning.trajectory.curves import Path
+    from lss_motion.planning.trajectory.dues import Dues
     from lss_motion.planning.trajectory.keys import Spacing
     from lss_motion.planning.trajectory.model import PathClock
     from lss_motion.planning.trajectory.solver import RateTask, RateWindow
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 ANCHOR_TOLERANCE_S: Final = 0.001
 """An anchor is met to the millisecond: the finest that a command can express."""
 
+KEY_S: Final = 1e-8
+"""A grid point that is nearer to a key is at it: rounding."""
+
 STRETCH_MIN_S: Final = 1e-5
 """Spans slowed by less are not reported: a hundredth of a millisecond."""
 
@@ -39,19 +43,17 @@ def slow_spans(
     joints: Sequence[str],
     windows: Sequence[RateWindow],
     clock: PathClock,
-    authored: Callable[[FloatArray], FloatArray],
+    dues: Dues,
 ) -> tuple[SlowSpan, ...]:
-    """Return every span in which the path takes longer than authored, in planned time."""
+    """Return every span in which the path takes longer than authored, in planned time.
+
+    What is slow between two keys and made up for before the second one is none.
+    """
     found = []
     for window in windows:
-        authored_s = authored(window.grid_s)
         spent_s = window.spent_s
-        lost_s = spent_s - np.diff(authored_s)
-        is_slow = lost_s > 1e-6 * spent_s
-        for first, end in runs(is_slow):
-            by_s = float(lost_s[first:end].sum())
-            if by_s < STRETCH_MIN_S:
-                continue
+        lost_s = spent_s - np.diff(dues.authored(window.grid_s))
+        for first, end, by_s in _late_cells(window.grid_s, lost_s, spent_s, dues.keys_s):
             cells = slice(first, end)
             column, limit, needed, allowed = _worst_limit(
                 task, window.grid_s[first : end + 1], spent_s[cells], lost_s[cells]
@@ -69,6 +71,31 @@ def slow_spans(
                 )
             )
     return tuple(found)
+
+
+def _late_cells(
+    grid_s: FloatArray, lost_s: FloatArray, spent_s: FloatArray, keys_s: FloatArray
+) -> list[tuple[int, int, float]]:
+    """Return the slow cells, from where to where, and by how much they are, in spans that are late.
+
+    Slow cells on both sides of a key that both are late are one.
+    """
+    near = np.searchsorted(grid_s, keys_s[(keys_s > grid_s[0]) & (keys_s < grid_s[-1])] - KEY_S)
+    edges = [0, *distinct(near).tolist(), len(lost_s)]
+    found: list[tuple[int, int, float]] = []
+    for low, high in itertools.pairwise(edges):
+        own = runs(lost_s[low:high] > 1e-6 * spent_s[low:high])
+        over_s = sum(float(lost_s[low + first : low + end].sum()) for first, end in own)
+        net_s = min(float(lost_s[low:high].sum()), over_s)
+        if net_s < STRETCH_MIN_S:
+            continue
+        for first, end in own:
+            by_s = float(lost_s[low + first : low + end].sum()) * net_s / over_s
+            if found and found[-1][1] == low + first:
+                found[-1] = found[-1][0], low + end, found[-1][2] + by_s
+            else:
+                found.append((low + first, low + end, by_s))
+    return [span for span in found if span[2] >= STRETCH_MIN_S]
 
 
 def _worst_limit(

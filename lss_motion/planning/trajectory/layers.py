@@ -17,8 +17,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory import explain
-from lss_motion.planning.trajectory.catch_up import Dues
 from lss_motion.planning.trajectory.curves import Path, cubics
+from lss_motion.planning.trajectory.dues import Dues
 from lss_motion.planning.trajectory.kept_plans import kept_plan
 from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
 from lss_motion.planning.trajectory.model import PathMotion, Trajectory, with_span
@@ -378,10 +378,15 @@ def _retimed(
     """Return the sum at its own times, slowed where it exceeds a limit."""
     slowed: SlowSpan | None = None
     windows: list[RateWindow] = []
+    dues = Dues(
+        authored=lambda path_s: path_s,
+        keys_s=_keys_s(total),
+        held=_held(total),
+        anchors_s=_anchors_s(total),
+    )
     if np.isfinite(jerk_max).any():
         clock, slowed = even_clock(task, total.joints, jerk_max)
     else:
-        dues = Dues(authored=lambda path_s: path_s, held=_held(total), anchors_s=_anchors_s(total))
 
         def follow(task: RateTask, _: object) -> tuple[list[RateWindow], PathClock]:
             found = timed_windows(task, dues)
@@ -396,7 +401,7 @@ def _retimed(
 
     marks = _marks(total)
     ends_s = moved([mark.planned_s + mark.held_s for mark in marks])
-    stretched = [*explain.slow_spans(task, total.joints, windows, clock, lambda path_s: path_s)]
+    stretched = [*explain.slow_spans(task, total.joints, windows, clock, dues)]
     if slowed is not None:
         stretched.append(slowed)
     below = [(0.0, total.duration_s, total.base)]
@@ -454,6 +459,14 @@ def _held(total: LayeredSum) -> FloatArray:
             if must_hold and start_s < to_s:
                 spans.append([start_s, min(start_s + mark.held_s, to_s)])
     return united(np.array(spans).reshape(-1, 2))
+
+
+def _keys_s(total: LayeredSum) -> FloatArray:
+    """Return when keys of the show and of its layers are reached and left, before the sum."""
+    marks = _marks(total, in_all_passes=True)
+    ends_s = [(mark.planned_s, mark.planned_s + mark.held_s) for mark in marks]
+    found = distinct(np.array(ends_s, dtype=np.float64).ravel())
+    return np.asarray(found[found <= total.duration_s])
 
 
 def _anchors_s(total: LayeredSum) -> tuple[float, ...]:

@@ -248,9 +248,9 @@ LATE_SLACK_S: Final = 1e-6
 def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
     """Return the cues of `sequence` at planned times.
 
-    A cue between two keyframes is moved as they are, in proportion; beside joints that keep their
-    time it stays where the author put it. Raises `InputError` for a cue
-    after the end of a pass.
+    A cue is as late as the keyframe before it, and never earlier than its time; beside joints that
+    keep their time it stays where the author put it. Raises `InputError` for a cue after the end of
+    a pass.
     """
     pairs = sorted(
         (mark.authored_s, mark.planned_s)
@@ -262,8 +262,10 @@ def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
     end_s = trajectory.first.duration_s
     found = []
     for cue in sequence.events:
-        beyond_s = max(cue.at_s - float(authored_s[-1]), 0.0)
-        at_s = float(np.interp(cue.at_s, authored_s, planned_s)) + beyond_s
+        before = int(np.searchsorted(authored_s, cue.at_s, side="right")) - 1
+        at_s = cue.at_s + max(0.0, float(planned_s[before] - authored_s[before]))
+        if cue.at_s <= authored_s[-1]:
+            at_s = min(at_s, end_s)
         if at_s > end_s + LATE_SLACK_S:
             raise InputError(
                 f"an event at {cue.at_s:g} s is never reached: "

@@ -24,7 +24,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.planning.trajectory.catch_up import Dues, made_up
+from lss_motion.planning.trajectory.catch_up import made_up
 from lss_motion.planning.trajectory.curves import (
     JointKeys,
     Path,
@@ -35,6 +35,7 @@ from lss_motion.planning.trajectory.curves import (
     seam_slope_deg_s,
     with_longer_rests,
 )
+from lss_motion.planning.trajectory.dues import Dues
 from lss_motion.planning.trajectory.keys import (
     NO_MARGINS,
     SAME_INSTANT_S,
@@ -118,8 +119,10 @@ class Layout(Struct, frozen=True, kw_only=True):
         if is_anchor.any() and self.sequence.loop != 1:
             # Anchors of the next pass can be met only if this one ends on time.
             anchors_s = np.append(anchors_s, starts_s + spacing.length_s)
+        keys_s = np.concatenate([spacing.reached_s, spacing.left_s])
         return Dues(
             authored=self.authored,
+            keys_s=distinct((starts_s[:, None] + keys_s).ravel()),
             held=united((starts_s[:, None, None] + own).reshape(-1, 2)),
             anchors_s=tuple(distinct(anchors_s).tolist()),
             seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),

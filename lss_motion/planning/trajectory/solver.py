@@ -127,9 +127,9 @@ class RateTask(Struct, frozen=True, kw_only=True):
     """A path, the limits of its joints, and the largest rate at which it may be followed.
 
     `knot_caps` bounds the squared rate at single knots, by index. The rate is at most 1 outside of
-    the positions `fast_s` and in the spans `calm_s`, (n, 2). If the spans `slow_s` are given, the
-    grid is finer there from the start; elsewhere each segment uses its share of the limits, 1 if
-    `shares` is None.
+    the positions `fast_s` and in the spans `calm_s`, (n, 2), and `RATE_FREE` inside of the spans
+    `free_s`. If the spans `slow_s` are given, the grid is finer there from the start; elsewhere
+    each segment uses its share of the limits, 1 if `shares` is None.
     """
 
     path: Path
@@ -139,6 +139,7 @@ class RateTask(Struct, frozen=True, kw_only=True):
     knot_caps: Mapping[int, float]
     fast_s: tuple[float, float] = (-math.inf, math.inf)
     calm_s: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    free_s: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     slow_s: FloatArray | None = None
     shares: FloatArray | None = None
     accel_shares: FloatArray | None = None
@@ -290,7 +291,7 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
         is_coarse = np.diff(grid.points_s) > CATCH_UP_CELL_S
         counts = np.where(is_slow, REFINEMENT, np.where(is_coarse | is_near_knot, 2, 1))
         grid = _graded(grid.divided(counts), np.repeat(is_slow, counts))
-    inner_s = distinct(np.append(task.calm_s, task.fast_s))
+    inner_s = distinct(np.concatenate([task.calm_s.ravel(), task.free_s.ravel(), task.fast_s]))
     inner_s = inner_s[(inner_s > from_s) & (inner_s < to_s)]
     if len(inner_s):
         nearest_s = grid.points_s[np.abs(grid.points_s - inner_s[:, None]).argmin(axis=1)]
@@ -314,6 +315,9 @@ def _graded(grid: _Grid, is_slow: NDArray[np.bool_]) -> _Grid:
 def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
     path, points_s, segments = task.path, grid.points_s, grid.segments
     caps = np.full(len(points_s), task.rate_max**2)
+    for from_s, to_s in task.free_s.tolist():
+        first, end = np.searchsorted(points_s, [from_s - POINT_S, to_s + POINT_S])
+        caps[first:end] = RATE_FREE**2
     for low in range(0, len(segments), BLOCK):
         part = grid.part(low, low + BLOCK)
         allowed = task.speed_max_deg_s * (FEASIBLE_RATIO * part.shares[:, None])

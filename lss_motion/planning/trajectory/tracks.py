@@ -174,7 +174,7 @@ def _assembled(
 ) -> Trajectory:
     sequence, spacing = layout.sequence, layout.spacing
     stretched = (
-        explain.slow_spans(task, tuple(layout.keys), windows, clock, layout.authored)
+        explain.slow_spans(task, tuple(layout.keys), windows, clock, layout.dues())
         if layout.is_timed
         else ()
     )

@@ -72,7 +72,7 @@ def test_a_mask_leaves_the_other_joints_alone(make_robot, frame):
 def test_a_sum_is_slowed_only_where_it_exceeds_a_limit(make_robot, frame):
     shake = show(frame(0.0, base=0.0), frame(0.6, base=40.0), frame(1.2, base=0.0), name="shake")
     top = layer_of(shake, "base", mode="add", from_s=1.5)
-    robot = make_robot(speed=110.0, accel=700.0)
+    robot = make_robot(speed=101.0, accel=700.0)
     assert not plan(shake, robot).stretched
     trajectory = plan(base_show(frame, layers=(top,)), robot)
     verify(trajectory, robot)

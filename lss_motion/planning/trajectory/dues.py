@@ -1,0 +1,51 @@
+"""What the author wants along a path, and how late a motion is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec import Struct, field
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from lss_motion.planning.trajectory.solver import RateWindow
+
+    FloatArray = NDArray[np.float64]
+
+EARLY_S: Final = 1e-8
+"""Earliness by rounding."""
+
+
+class Dues(Struct, frozen=True, kw_only=True):
+    """What the author wants along a path: times, holds, anchors and where lateness starts anew.
+
+    `keys_s` has where keys are reached and left, in order. `held` has from where to where a hold
+    must be kept, (n, 2), in order and apart. At `seams_s` one pass ends and the next begins. A pass
+    does not make up for the lateness of another.
+    """
+
+    authored: Callable[[FloatArray], FloatArray]
+    keys_s: FloatArray
+    held: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    anchors_s: tuple[float, ...] = ()
+    seams_s: tuple[float, ...] = ()
+
+    def spent(self, from_s: float, to_s: float) -> float:
+        """Return the authored time between two positions."""
+        start_s, end_s = self.authored(np.array([from_s, to_s])).tolist()
+        return float(end_s - start_s)
+
+    def lateness(self, window: RateWindow, late_s: float) -> FloatArray:
+        """Return how late the motion is at each grid point, if it is `late_s` at the first."""
+        authored_s = self.authored(window.grid_s)
+        passed_s = np.concatenate([[0.0], np.cumsum(window.spent_s)])
+        return np.asarray(late_s + passed_s - (authored_s - authored_s[0]))
+
+    def is_held(self, from_s: float, to_s: float) -> bool:
+        """Return whether a hold covers these positions, between which no hold starts or ends."""
+        middle_s = 0.5 * (from_s + to_s)
+        return bool(((self.held[:, 0] < middle_s) & (middle_s < self.held[:, 1])).any())

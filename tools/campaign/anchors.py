@@ -1,0 +1,137 @@
+"""Random shows with anchors a little above the least time: the planner meets what can be met.
+
+`reach.Reach`, which shares no code with the planner, says when each key can be reached. A show is
+scaled to 1.005 to 1.2 times the least duration with which all of its anchors can be met.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec.structs import replace
+
+from campaign import Told
+from campaign.reach import Reach
+from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.planner import plan
+from lss_motion.robot.model import Bus, Joint, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
+from lss_motion.show.model import Interpolation, Keyframe, Sequence
+
+if TYPE_CHECKING:
+    import argparse
+
+SEEDS: Final = 1_000
+SCALES: Final = 12
+"""Attempts to find the least scale; each comes from below."""
+ENOUGH: Final = 1e-3
+TOLERANCE_S: Final = 0.002
+RATIOS: Final = (1.005, 1.2)
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this kind."""
+    parser.add_argument(
+        "--refused", action="store_true", help="0.7 to 0.99 times the least instead"
+    )
+
+
+def robot_of(random: np.random.Generator, names: tuple[str, ...]) -> Robot:
+    """Return a robot of joints with limits of their own."""
+    joints = {
+        name: Joint(
+            name=name,
+            servo_id=index + 1,
+            bus="main",
+            model=SERVO_MODELS["LSS-ST1"],
+            position_min_deg=-179.0,
+            position_max_deg=179.0,
+            speed_max_deg_s=round(float(random.uniform(60.0, 360.0))),
+            accel_max_deg_s2=round(float(random.uniform(200.0, 1000.0)), -1),
+        )
+        for index, name in enumerate(names)
+    }
+    bus = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
+    return Robot(name="arm", path=None, buses={"main": bus}, joints=joints)
+
+
+def any_show(seed: int) -> tuple[Sequence, Robot]:
+    """Return a show of one to four joints with one anchor or several, and its robot."""
+    random = np.random.default_rng(seed)
+    names = ("base", "shoulder", "elbow", "wrist")[: int(random.choice([1, 1, 2, 3, 4]))]
+    robot = robot_of(random, names)
+    ease = Interpolation(str(random.choice(["smooth", "smooth", "spline"])))
+    may_hold = ease is Interpolation.SMOOTH and random.random() < 0.5
+    frames = [Keyframe(at_s=0.0, deg=dict.fromkeys(names, 0.0))]
+    at_s = 0.0
+    free_s = dict.fromkeys(names, 0.0)
+    for _ in range(int(random.integers(1, 7))):
+        at_s += frames[-1].hold_s * random.random() + float(random.uniform(0.2, 1.2))
+        is_held = may_hold and random.random() < 0.3 and at_s >= max(free_s.values())
+        free = [n for n in names if free_s[n] <= at_s]
+        chosen = [n for n in free if random.random() < 0.7] or free[:1]
+        if not chosen:
+            at_s = max(free_s.values())
+            chosen = list(names)
+        hold_s = float(random.uniform(0.1, 0.6)) if is_held else 0.0
+        deg = {name: round(float(random.uniform(-60.0, 60.0)), 1) for name in chosen}
+        free_s |= dict.fromkeys(chosen, at_s + hold_s + 0.1 * (hold_s > 0.0))
+        frames.append(Keyframe(at_s=at_s, deg=deg, hold_s=hold_s, ease=ease))
+    last = len(frames) - 1
+    anchors = {last} if random.random() < 0.4 else {*random.integers(1, last + 1, 3).tolist()}
+    if random.random() < 0.3:
+        anchors = set(range(1, last + 1))
+    frames = [replace(f, is_anchor=k in anchors) for k, f in enumerate(frames)]
+    return Sequence(name=f"anchors {seed}", keyframes=tuple(frames)), robot
+
+
+def scaled(show: Sequence, ratio: float) -> Sequence:
+    """Return the show with all times and holds multiplied: the curves stay the same."""
+    return replace(
+        show,
+        keyframes=tuple(
+            replace(f, at_s=(f.at_s or 0.0) * ratio, hold_s=f.hold_s * ratio)
+            for f in show.keyframes
+        ),
+    )
+
+
+def least_scale(show: Sequence, robot: Robot) -> float:
+    """Return the least scale with which all anchors are met, within a thousandth."""
+    free = replace(show, keyframes=tuple(replace(f, is_anchor=False) for f in show.keyframes))
+    anchors = [(k, f.at_s or 0.0) for k, f in enumerate(show.keyframes) if f.is_anchor]
+    ratio = 0.05
+    for _ in range(SCALES):
+        late_s = Reach(scaled(free, ratio), robot).lateness()
+        wanted = max(ratio + late_s[k] / at_s for k, at_s in anchors)
+        if wanted <= ratio * (1.0 + ENOUGH):
+            return wanted
+        ratio = wanted
+    return ratio
+
+
+def play(seed: int, options: argparse.Namespace) -> Told:
+    """Plan one show with anchors that can be met, or with `--refused` one with too little time."""
+    show, robot = any_show(seed)
+    random = np.random.default_rng([seed, 1])
+    ratio = float(random.uniform(*((0.7, 0.99) if options.refused else RATIOS)))
+    show = scaled(show, least_scale(show, robot) * ratio)
+    about = [f"{len(robot.joints)} joints, ratio {ratio:.4f}"]
+    try:
+        trajectory = plan(show, robot)
+    except PlanningError as error:
+        lateness = Reach(show, robot).lateness()
+        frames = zip(lateness, show.keyframes, strict=True)
+        is_possible = all(late_s <= 0.0 for late_s, frame in frames if frame.is_anchor)
+        return Told("refused", (str(error),) if is_possible else (), tuple(about))
+    broken = []
+    for mark, frame in zip(trajectory.marks, show.keyframes, strict=True):
+        late_s = mark.planned_s - (frame.at_s or 0.0)
+        if late_s < -1e-6:
+            broken.append(f"key at {frame.at_s:.3f} s is {-late_s:.4f} s early")
+        if frame.is_anchor and late_s > 1e-3:
+            broken.append(f"anchor at {frame.at_s:.3f} s is {late_s:.4f} s late")
+        if mark.held_s < frame.hold_s - 1e-6:
+            broken.append(f"hold at {frame.at_s:.3f} s lasts {mark.held_s:.4f}")
+    return Told("met", tuple(broken), tuple(about))
