@@ -306,8 +306,8 @@ def _hands() -> Iterator[Step]:
         )  # fmt: skip
 
     steered = (
-        RIGHT, RIGHT, DOWN, LEFT, "]", "]", LEFT, "c", DOWN, "l", "h", "[", RIGHT, "c", DOWN,
-        LEFT, LEFT, LEFT, "j", "k", "q",
+        RIGHT, RIGHT, DOWN, LEFT, "]", "]", LEFT, "c", "\n", DOWN, "l", "h", "[", RIGHT, "c", "\n",
+        DOWN, LEFT, LEFT, LEFT, "j", "k", "q",
     )  # fmt: skip
     for robot, *more in (
         ("timed",),
