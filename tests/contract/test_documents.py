@@ -41,7 +41,7 @@ class State:
     inputs: dict = field(default_factory=dict)
 
 
-class Host:
+class DocumentHost:
     def __init__(self, family: Family, servo_id: int, state: State = State()):
         model = ServoModel(
             name=state.name or NAMES[family],
@@ -214,7 +214,7 @@ REACHED = [each for each in REPLIES if (each[0], each[1].line) not in DECISIONS]
 )
 def test_a_simulated_servo_replies_as_the_document_prints(family, example):
     state = state_of(family, example)
-    host = Host(family, example.servo_id if family is not Family.IO2 else 209, state)
+    host = DocumentHost(family, example.servo_id if family is not Family.IO2 else 209, state)
     printed, _ = INSTEAD.get((family, example.line), (example.data, ""))
     assert host.query(state.query or f"#{example.servo_id}{example.keyword}") == printed
 
@@ -243,8 +243,8 @@ def address_of(family: Family, row) -> int:
     return ids.get(row.devices[0], 209) if row.devices else 209
 
 
-def host_for(family: Family, **state) -> Host:
-    return Host(family, 209 if family is Family.IO2 else 5, State(**state))
+def host_for(family: Family, **state) -> DocumentHost:
+    return DocumentHost(family, 209 if family is Family.IO2 else 5, State(**state))
 
 
 def other_value(row, default: int | None) -> int:
@@ -257,7 +257,7 @@ def other_value(row, default: int | None) -> int:
     raise AssertionError(row)
 
 
-def moved(host: Host, line: str, wait_s: float = 2.0) -> float:
+def moved(host: DocumentHost, line: str, wait_s: float = 2.0) -> float:
     before_deg = host.horn_deg()
     host.send(line)
     host.wait_s(wait_s)
@@ -268,7 +268,7 @@ def pro(family: Family) -> bool:
     return family is Family.LSS_PRO
 
 
-def check_limp(host: Host, family: Family, line: str) -> None:
+def check_limp(host: DocumentHost, family: Family, line: str) -> None:
     address = line[: line.index("L")]
     host.send(f"{address}D300")
     host.wait_s(1.0)
@@ -277,7 +277,7 @@ def check_limp(host: Host, family: Family, line: str) -> None:
     assert not host.bus.motors._drives.is_powered[0]
 
 
-def check_halt(host: Host, family: Family, line: str) -> None:
+def check_halt(host: DocumentHost, family: Family, line: str) -> None:
     host.send("#5WD20")
     host.wait_s(1.0)
     assert abs(host.horn_deg_s()) > 1.0
@@ -287,7 +287,7 @@ def check_halt(host: Host, family: Family, line: str) -> None:
     assert host.query("#5Q") == b"*5Q6\r"
 
 
-def check_reset(host: Host, family: Family, line: str) -> None:
+def check_reset(host: DocumentHost, family: Family, line: str) -> None:
     address = line[: line.index("R")]
     query = f"{address}QLED"
     host.send(f"{address}LED3")
@@ -299,7 +299,7 @@ def check_reset(host: Host, family: Family, line: str) -> None:
     assert not host.query(query).endswith(b"QLED3\r")
 
 
-def check_default(host: Host, family: Family, line: str) -> None:
+def check_default(host: DocumentHost, family: Family, line: str) -> None:
     address = line[: line.index("D")]
     host.send(f"{address}CLED3")
     host.send(line)
@@ -314,7 +314,7 @@ def check_default(host: Host, family: Family, line: str) -> None:
     assert host.query(f"{address}QLED").endswith(expected)
 
 
-def check_update(host: Host, family: Family, line: str) -> None:
+def check_update(host: DocumentHost, family: Family, line: str) -> None:
     host.send(line)
     host.send("#5CONFIRM")
     assert host.query("#5Q") == b""
@@ -322,7 +322,7 @@ def check_update(host: Host, family: Family, line: str) -> None:
     assert host.query("#5Q") == b"*5Q1\r"
 
 
-def check_confirm(host: Host, family: Family, line: str) -> None:
+def check_confirm(host: DocumentHost, family: Family, line: str) -> None:
     host.send("#5CLED3")
     host.send(line)
     assert host.query("#5QLED") == b"*5QLED3\r"
@@ -333,36 +333,36 @@ def check_confirm(host: Host, family: Family, line: str) -> None:
     assert host.query("#0QLED") not in (b"", b"*0QLED3\r")
 
 
-def check_rc(host: Host, family: Family, line: str) -> None:
+def check_rc(host: DocumentHost, family: Family, line: str) -> None:
     host.send(line + "1")
     host.send("#5RESET")
     host.wait_s(3.0)
     assert host.query("#5Q") == b""
 
 
-def check_board_id(host: Host, family: Family, line: str) -> None:
+def check_board_id(host: DocumentHost, family: Family, line: str) -> None:
     host.send(line + "1")
     assert host.query("#1QMS") == b"*1QMSLSS-2IO-D9\r"
     assert host.query("#209QMS") == b""
 
 
-def check_baud(host: Host, family: Family, line: str) -> None:
+def check_baud(host: DocumentHost, family: Family, line: str) -> None:
     host.send(line + "9600")
     assert host.query("#207QB") == b""
 
 
-def check_level(host: Host, family: Family, line: str) -> None:
+def check_level(host: DocumentHost, family: Family, line: str) -> None:
     host.send(line + "200")
     assert host.query("#203QA") == b"*203QA1023\r"
 
 
-def check_receiver(host: Host, family: Family, line: str) -> None:
+def check_receiver(host: DocumentHost, family: Family, line: str) -> None:
     host.send(line + "4")
     assert host.query("#203QA").startswith(b"*203QA,1500,")
 
 
 def goes(value: str, wanted_deg):
-    def check(host: Host, family: Family, line: str) -> None:
+    def check(host: DocumentHost, family: Family, line: str) -> None:
         wanted = wanted_deg(family) if callable(wanted_deg) else wanted_deg
         assert moved(host, line + value) == pytest.approx(wanted, abs=0.05)
 
@@ -370,7 +370,7 @@ def goes(value: str, wanted_deg):
 
 
 def turns(value: str, wanted_deg_s):
-    def check(host: Host, family: Family, line: str) -> None:
+    def check(host: DocumentHost, family: Family, line: str) -> None:
         host.send(line + value)
         host.wait_s(1.0)
         wanted = wanted_deg_s(family) if callable(wanted_deg_s) else wanted_deg_s
@@ -473,7 +473,7 @@ MODIFIER_EFFECTS = {
 
 
 def status_when_stuck(line: str) -> bytes:
-    host = Host(Family.LSS, 5, State(faults=STUCK))
+    host = DocumentHost(Family.LSS, 5, State(faults=STUCK))
     host.send(line)
     host.wait_s(1.0)
     return host.query("#5Q")

@@ -31,7 +31,7 @@ CHANGES = (
 RANGES = {"V": (0, 14000), "T": (0, 1000), "LED": (0, 7), "ID": (0, 254), "B": (9600, 921600)}
 
 
-class Bench:
+class MakersBench:
     def __init__(self, firmware: int):
         spec = ServoSpec(servo_id=5, model=SERVO_MODELS["LSS-HS1"])
         physics = Physics(corrupt_reply_ratio=0.0)
@@ -56,7 +56,7 @@ class Bench:
 @pytest.mark.parametrize("firmware", [368, 369, 370])
 @pytest.mark.parametrize("word", QUERIES)
 def test_each_query_is_answered_under_its_name_by_the_firmware_that_has_it(firmware, word):
-    reply = Bench(firmware).read(f"Q{word}")
+    reply = MakersBench(firmware).read(f"Q{word}")
     if firmware == 368 and word in SINCE_369:
         assert reply == ""
         return
@@ -68,13 +68,13 @@ def test_each_query_is_answered_under_its_name_by_the_firmware_that_has_it(firmw
 
 @pytest.mark.parametrize(("command", "word", "value"), CHANGES)
 def test_each_change_is_read_back(command, word, value):
-    bench = Bench(370)
+    bench = MakersBench(370)
     bench.write(command)
     assert bench.read(f"Q{word}") == f"*5Q{word}{value}\r"
 
 
 def test_moves_arrive_within_the_time_and_tolerance_of_the_tests():
-    bench = Bench(369)
+    bench = MakersBench(369)
     for target in (0, 900, 0):
         bench.write(f"D{target}")
         bench.wait_s(0.8)
@@ -86,7 +86,7 @@ def test_moves_arrive_within_the_time_and_tolerance_of_the_tests():
 )
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_wheel_reports_its_present_speed_with_its_sign(command, query, speed, within, sign):
-    bench = Bench(369)
+    bench = MakersBench(369)
     bench.write(command if sign == 1 else command.replace("1", "-1", 1))
     bench.wait_s(0.5)
     reply = bench.read(query)
@@ -99,13 +99,13 @@ def test_369_has_commands_that_368_has_not(command):
     word = {"RDM": "MD", "SCS": "CSL", "CHD": "HD", "CLN": "LN", "CLP": "LP", "CLE": "LE"}
     query, value = f"Q{word[command[:3]]}", re.sub("[A-Z]+", "", command)
     for firmware, reply in ((369, f"*5{query}{value}\r"), (368, "")):
-        bench = Bench(firmware)
+        bench = MakersBench(firmware)
         bench.write(command)
         assert bench.read(query) == reply
 
 
 def test_an_acknowledging_servo_repeats_what_it_received():
-    bench = Bench(369)
+    bench = MakersBench(369)
     assert bench.read("D100") == ""
     assert bench.read("ECR1") == ""
     assert bench.read("QCR") == "*5QCR1\r"
@@ -127,7 +127,7 @@ def test_an_acknowledging_servo_repeats_what_it_received():
     [("Y1", "QY"), ("PO50", "QPO"), ("CPO-50", "QPO"), ("TQM500", "QTQM"), ("CGM500", "QTQM")],
 )
 def test_private_settings_are_kept(command, query):
-    bench = Bench(369)
+    bench = MakersBench(369)
     bench.write(command)
     value = command.lstrip("CGPOYTQM")
     assert bench.read(query) == f"*5{query}{value}\r"

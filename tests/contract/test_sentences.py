@@ -58,7 +58,7 @@ EXECUTABLE = [
 ]
 
 
-class Bench:
+class SentenceBench:
     """A servo, and perhaps a second one, on a bus in virtual time."""
 
     def __init__(self, document: str, servo: dict[str, Any]) -> None:
@@ -180,7 +180,7 @@ class Bench:
 
 @pytest.mark.parametrize(("document", "row"), EXECUTABLE)
 def test_the_simulated_servo_does_what_the_sentence_says(document, row):
-    bench = Bench(document, row.get("servo", {}))
+    bench = SentenceBench(document, row.get("servo", {}))
     for step in row["do"]:
         bench.step(step)
 
@@ -204,7 +204,7 @@ def test_what_a_row_judges_comes_of_what_it_sends(document):
         left = [step for step in row.get("do", []) if step.split(" ")[0] not in ACTING]
         if len(left) == len(row.get("do", [])):
             continue
-        bench = Bench(document, row.get("servo", {}))
+        bench = SentenceBench(document, row.get("servo", {}))
         with contextlib.nullcontext() if "effect" in row else pytest.raises(AssertionError):
             for step in left:
                 bench.step(step)

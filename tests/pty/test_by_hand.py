@@ -156,7 +156,7 @@ def test_a_held_key_and_a_flood_of_keys_delay_no_stop(tmp_path):
     assert set(load_robot(tmp_path / "robot.yaml").poses) <= {"home", "pose", "pose_2"}
 
 
-class Push:
+class PushAtWill:
     """A hand that holds all joints at 0 until `is_pushing`, then at `pushed_deg`."""
 
     def __init__(self, **pushed_deg):
@@ -172,7 +172,7 @@ class Push:
 
 @pytest.mark.slow
 def test_calibrate_finds_zero_and_direction(tmp_path):
-    hand = Push(pan=25.0, tilt=-20.0)
+    hand = PushAtWill(pan=25.0, tilt=-20.0)
     options = ["calibrate", "--to-servos"]
     with simulated(tmp_path, hand) as (bus, _), person(tmp_path, *options) as someone:
         someone.wait_for("press l")

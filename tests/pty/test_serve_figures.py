@@ -66,7 +66,7 @@ def turns_of(times_s, horn_deg):
     return found
 
 
-class Pair:
+class ServedPair:
     """Both computers of the stage, as processes; `ask` is the API of the conductor's pages."""
 
     def __init__(self, *options, more=""):
@@ -147,7 +147,7 @@ def pair(*options, more=""):
     for bus in buses:
         bus.record()
     with served_bus(buses[0], Path("left")), served_bus(buses[1], Path("right")):
-        own = Pair(*options, more=more)
+        own = ServedPair(*options, more=more)
         with own.processes["left"], own.processes["right"]:
             yield own, robot, buses
 

@@ -55,7 +55,7 @@ def show(tmp_path):
     return path
 
 
-class Steering:
+class PausingControls:
     """Connects the recorder, notes the show clock, and pauses at 1.05 s, between two clicks."""
 
     def __init__(self, recorder):
@@ -97,7 +97,7 @@ def test_clicks_sound_at_their_show_time_before_and_after_a_pause_and_never_afte
     robot = lss.load_robot(ROBOT)
     program = lss.compile(lss.plan(lss.load_sequence(show), robot), robot)
     with sound_recorder.Recorder() as recorder:
-        steering = Steering(recorder)
+        steering = PausingControls(recorder)
         result = perform(program, robot, observer=Observer(controls=steering), sound=SoundChoice())
         heard_ns = clicks_of(recorder)
         at_ns, blocks = recorder.samples()
@@ -116,7 +116,7 @@ def test_clicks_sound_at_their_show_time_before_and_after_a_pause_and_never_afte
     assert not np.abs(blocks[is_over]).any()
 
 
-class Seeking(Steering):
+class Seeking(PausingControls):
     """Sends the show back from 1.35 s, and then forward from 1.1 s."""
 
     def __init__(self, recorder):

@@ -66,7 +66,7 @@ def children(pid):
     return found
 
 
-class Browser:
+class SocketBrowser:
     """A client with a websocket; `events` are all that it got."""
 
     def __init__(self, studio, place=0, tls=None):
@@ -157,7 +157,7 @@ def post(studio, path, origin=None, tls=None):
 def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo, studio):
     with on_terminal(servo(1)) as bus:
         server, info = studio()
-        one, other = Browser(info), Browser(info)
+        one, other = SocketBrowser(info), SocketBrowser(info)
         one.wait("document", is_planning=False)
         # A wrong file stands at its line; the last good plan stays, and can be played.
         Path("swing.yaml").write_text(SHOW.replace("at_s: 1", "at_z: 1"))
@@ -201,10 +201,10 @@ def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo,
 def test_a_server_that_is_silent_or_killed_is_a_lost_operator(on_terminal, servo, studio):
     with on_terminal(servo(1)) as bus:
         server, info = studio("--on-operator-lost", "hold")
-        one = Browser(info)
+        one = SocketBrowser(info)
         one.wait("document", is_planning=False)
         one.play()
-        floods = Browser(info)
+        floods = SocketBrowser(info)
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             for _ in range(20):
                 floods.link.send("x" * 5000)
@@ -241,7 +241,7 @@ def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
     )
     tls = ssl.create_default_context(cafile="own.pem")
     # A client on the network, with TLS; its stop goes to an address that it can reach.
-    browsers = [Browser(info, place=1, tls=tls), *(Browser(info) for _ in range(9))]
+    browsers = [SocketBrowser(info, place=1, tls=tls), *(SocketBrowser(info) for _ in range(9))]
     one = browsers[0]
     welcome = one.wait("welcome")
     assert welcome["stop_origin"] == info["stops"][1]
@@ -268,7 +268,7 @@ def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
 def test_a_port_that_is_lost_in_the_middle_of_a_show_is_said(on_terminal, servo, studio):
     with on_terminal(servo(1)):
         server, info = studio()
-        one = Browser(info)
+        one = SocketBrowser(info)
         one.wait("document", is_planning=False)
         one.play()
         stop = children(server.pid)["stop"]

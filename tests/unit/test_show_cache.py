@@ -202,7 +202,7 @@ def test_a_key_that_others_can_read_proves_nothing(nod, folder):
     assert key.stat().st_mode & 0o077 == 0
 
 
-class Call:
+class ForeignCall:
     def __init__(self, function, *arguments):
         self.call = function, arguments
 
@@ -212,9 +212,9 @@ class Call:
 
 def test_what_is_sealed_calls_no_function(nod, folder):
     for call in (
-        Call(os.mkdir, str(folder / "made")),
-        Call(shows.prepare, folder / "nod.yaml", None),
-        Call(eval, "1"),
+        ForeignCall(os.mkdir, str(folder / "made")),
+        ForeignCall(shows.prepare, folder / "nod.yaml", None),
+        ForeignCall(eval, "1"),
     ):
         states, _ = states_and_show()
         before = nod.count

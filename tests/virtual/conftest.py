@@ -87,7 +87,7 @@ def rate(ratio):
 
 
 @dataclass
-class Played:
+class VirtualRun:
     """A run that has ended, and all that is known of it."""
 
     result: Result
@@ -152,7 +152,7 @@ class Sent:
         pass
 
 
-class Stage:
+class VirtualStage:
     """Plans, compiles and plays; `play` patches only how the simulated buses are made."""
 
     def __init__(self, monkeypatch):
@@ -176,7 +176,7 @@ class Stage:
         on_bus=None,
         on_event=None,
         **options,
-    ) -> Played:
+    ) -> VirtualRun:
         """Play in virtual time. `wired`: the robot that is really there, if it is another."""
         robot = robot or make_robot()
         trajectory = None
@@ -215,15 +215,15 @@ class Stage:
                 ),
                 **options,
             )
-        return Played(result, buses, events, controls.acted_ns, trajectory, sent)
+        return VirtualRun(result, buses, events, controls.acted_ns, trajectory, sent)
 
 
 @pytest.fixture
 def stage(monkeypatch):
-    return Stage(monkeypatch)
+    return VirtualStage(monkeypatch)
 
 
-class Kit:
+class ShowKit:
     """The words of a test; `conftest` modules cannot be imported by name."""
 
     robot = staticmethod(make_robot)
@@ -236,4 +236,4 @@ class Kit:
 
 @pytest.fixture
 def kit():
-    return Kit
+    return ShowKit

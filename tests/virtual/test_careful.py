@@ -28,7 +28,7 @@ TOP_DEG_S = 30.0
 FEW_DEG = 5.5
 
 
-class Bench:
+class CarefulBench:
     """One joint on a simulated bus, and its careful run."""
 
     def __init__(self, tmp_path, *faults, joint="following_deg: 10", firmware=780):
@@ -68,7 +68,7 @@ class Bench:
         return np.abs(np.diff(self.horn_deg())) / (1e-9 * TICK_NS)
 
 
-class StopAt:
+class StopAtReading:
     """Presses Ctrl-C when a leg has so many readings."""
 
     def __init__(self, leg, readings, count=1):
@@ -92,7 +92,7 @@ def wrong(setting, ratio):
 
 
 def test_a_right_servo_passes_within_a_fifth_of_its_speed_and_a_few_degrees(tmp_path):
-    bench = Bench(tmp_path)
+    bench = CarefulBench(tmp_path)
     careful = bench.run()
     assert careful.error is None
     assert careful.found.way_deg == 5.0 * np.sign(careful.found.way_deg)
@@ -117,7 +117,7 @@ def test_a_right_servo_passes_within_a_fifth_of_its_speed_and_a_few_degrees(tmp_
     ],
 )
 def test_a_unit_that_is_wrong_is_found_within_a_few_degrees(tmp_path, setting, ratio):
-    bench = Bench(tmp_path, wrong(setting, ratio))
+    bench = CarefulBench(tmp_path, wrong(setting, ratio))
     careful = bench.run()
     assert careful.error is not None
     assert careful.found is None
@@ -148,7 +148,7 @@ PRO = (
     ],
 )
 def test_the_units_of_an_lss_pro_are_found_by_its_angles_and_its_speed(tmp_path, faults):
-    bench = Bench(tmp_path, *faults, joint=PRO)
+    bench = CarefulBench(tmp_path, *faults, joint=PRO)
     careful = bench.run()
     assert bool(careful.error) is bool(faults)
     assert bool(careful.found) is not bool(faults)
@@ -158,24 +158,24 @@ def test_the_units_of_an_lss_pro_are_found_by_its_angles_and_its_speed(tmp_path,
 
 def test_an_older_lss_pro_that_holds_is_in_no_error(tmp_path):
     """Code 6 is `holding` up to firmware 779, and `error` from 780 on."""
-    assert Bench(tmp_path, joint=PRO, firmware=779).run().error is None
+    assert CarefulBench(tmp_path, joint=PRO, firmware=779).run().error is None
 
 
 @pytest.mark.parametrize("kind", ["lost_reply", "corrupt_reply", "double_reply"])
 def test_a_line_with_faults_is_no_wrong_servo(tmp_path, kind):
-    bench = Bench(tmp_path, Fault(kind=FaultKind(kind), ratio=0.03))
+    bench = CarefulBench(tmp_path, Fault(kind=FaultKind(kind), ratio=0.03))
     careful = bench.run()
     assert careful.error is None, str(careful.error)
 
 
 def test_a_move_that_the_line_lost_is_sent_once_more(tmp_path):
-    bench = Bench(tmp_path)
+    bench = CarefulBench(tmp_path)
     bench.run()
     first_ns = next(at_ns for at_ns, line in bench.bus.lines if line.startswith(b"#3D"))
     lost = Fault(
         kind=FaultKind.LOST_COMMAND, at_s=1e-9 * first_ns - 0.005, until_s=1e-9 * first_ns + 0.001
     )
-    bench = Bench(tmp_path, lost)
+    bench = CarefulBench(tmp_path, lost)
     careful = bench.run()
     assert careful.error is None, str(careful.error)
     moves = [line for line in bench.lines() if line.startswith(b"#3D")]
@@ -183,7 +183,7 @@ def test_a_move_that_the_line_lost_is_sent_once_more(tmp_path):
 
 
 def test_units_that_are_all_wrong_are_found_by_the_pulses(tmp_path):
-    bench = Bench(tmp_path, *(wrong(setting, 10.0) for setting in ("D", "SD", "AA", "AD")))
+    bench = CarefulBench(tmp_path, *(wrong(setting, 10.0) for setting in ("D", "SD", "AA", "AD")))
     assert "by its pulses (QP)" in str(bench.run().error)
     assert np.abs(bench.horn_deg() - bench.standing_deg).max() < FEW_DEG
 
@@ -193,7 +193,7 @@ def test_a_gyre_that_changes_stops_the_joint_within_a_few_degrees(tmp_path, at_s
     fault = Fault(
         kind=FaultKind.STORED, servo_id=3, at_s=at_s, settings={"G": -1, "O": 100, "SD": 3600}
     )
-    bench = Bench(tmp_path, fault)
+    bench = CarefulBench(tmp_path, fault)
     careful = bench.run()
     assert any(text in str(careful.error) for text in ("gyre (G)", "expected", "the same"))
     assert np.abs(bench.horn_deg() - bench.standing_deg).max() < FEW_DEG + 2.0
@@ -201,8 +201,8 @@ def test_a_gyre_that_changes_stops_the_joint_within_a_few_degrees(tmp_path, at_s
 
 @pytest.mark.parametrize("leg", range(6))
 def test_ctrl_c_brakes_by_the_ramps_restores_and_holds(tmp_path, leg):
-    bench = Bench(tmp_path)
-    stop_at = StopAt(leg, 6)
+    bench = CarefulBench(tmp_path)
+    stop_at = StopAtReading(leg, 6)
     careful = bench.run(stop_at)
     assert careful.is_stopped
     assert careful.error is None
@@ -220,8 +220,8 @@ def test_ctrl_c_brakes_by_the_ramps_restores_and_holds(tmp_path, leg):
 
 
 def test_a_second_ctrl_c_ends_at_once_and_safely(tmp_path):
-    bench = Bench(tmp_path)
-    careful = bench.run(StopAt(1, 6, count=2))
+    bench = CarefulBench(tmp_path)
+    careful = bench.run(StopAtReading(1, 6, count=2))
     assert careful.state is ExperimentState.DONE
     assert bench.lines()[-1] == b"#3H"
     assert set(bench.lines()[-9:-1]) == RESTORED
@@ -236,7 +236,7 @@ def test_a_second_ctrl_c_ends_at_once_and_safely(tmp_path):
     ],
 )
 def test_a_small_range_or_a_slow_joint_is_moved_less(tmp_path, joint, least_deg, most_deg):
-    bench = Bench(tmp_path, joint=joint)
+    bench = CarefulBench(tmp_path, joint=joint)
     careful = bench.run()
     assert careful.error is None, str(careful.error)
     turned_deg = bench.horn_deg() - bench.standing_deg
@@ -255,7 +255,7 @@ def test_a_small_range_or_a_slow_joint_is_moved_less(tmp_path, joint, least_deg,
     ],
 )
 def test_a_fault_of_the_servo_is_reported_and_it_is_left_safe(tmp_path, fault, text):
-    bench = Bench(tmp_path, fault)
+    bench = CarefulBench(tmp_path, fault)
     careful = bench.run()
     assert any(part in str(careful.error) for part in text.split("|"))
     assert bench.lines()[-1] == (b"#254H" if "answering" in text else b"#3H")

@@ -283,7 +283,7 @@ def test_a_leader_that_stood_before_the_show_and_is_silent_does_not_begin_it(sta
 @pytest.mark.parametrize("lost", ["go_on", "hold"])
 @pytest.mark.parametrize("rate", [0.0, 1.0])
 def test_a_leader_beyond_the_end_that_is_gone_ends_the_show(stage, robot, show, lost, rate):
-    class Source:
+    class SourceStub:
         """Legs ten times a second for five seconds."""
 
         def filenos(self):
@@ -297,7 +297,7 @@ def test_a_leader_beyond_the_end_that_is_gone_ends_the_show(stage, robot, show, 
 
     legs, texts, start_ns = [], [], []
     controls = FollowControls(
-        Following(FollowRule(freewheel_s=2.0, lost=lost)), Source(), tell=texts.append
+        Following(FollowRule(freewheel_s=2.0, lost=lost)), SourceStub(), tell=texts.append
     )
 
     def turn(player, now_ns):

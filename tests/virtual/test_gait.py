@@ -131,7 +131,7 @@ def test_every_example_is_performed_without_slipping(name):
     assert use.utilisation_ratio < 0.35
 
 
-class StopAt:
+class StopAtShowTime:
     """Controls that stop the show once it has come to `show_s`."""
 
     def __init__(self, show_s):
@@ -155,7 +155,7 @@ def test_a_walk_without_end_goes_on_without_slipping_until_it_is_stopped(tmp_pat
         f"legs_from: {EXAMPLES}/hexapod_walk.yaml\nstep_height_mm: 20\n"
         "do:\n  - walk: {forward_mm_s: 35, cycles: forever}\n"
     )
-    stop = StopAt(9.0)
+    stop = StopAtShowTime(9.0)
     walked = Walked(path, stop)
     assert stop.is_done
     repeat = walked.show.program.repeat

@@ -43,7 +43,7 @@ def robot(tmp_path):
     return load_robot(path)
 
 
-class Answering:
+class AnsweringPerson:
     """Answers a guide, each answer at a time of its own; then ends. Keeps what it was told."""
 
     def __init__(self, guide, *answers):
@@ -68,7 +68,7 @@ def calibrated(robot, *answers):
     times_s = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 9.0])
     hand = Hand(times_s, {"a": np.array([0.0, 0.0, 12.0, 12.0, 4.0, 4.0])})
     clock = VirtualClock()
-    person = Answering(Calibration(robot, robot.joints["a"]), *answers)
+    person = AnsweringPerson(Calibration(robot, robot.joints["a"]), *answers)
     with connect(robot.buses, robot=robot, clock=clock, hand=hand) as connection:
         run(HandsOn(robot, ["a", "b"]), connection.ports, clock, controls=person)
     lines = [line.rstrip(b"\r") for _, line in connection.simulated["main"].lines]
@@ -112,7 +112,7 @@ def test_only_answers_that_are_offered_are_taken(robot):
         ServoTasks().joint(robot, "c")
 
 
-class Client:
+class MeasuringClient:
     """Stands for the client of a measurement: it may stop it, and keeps what it is sent."""
 
     is_cut = False
@@ -155,7 +155,7 @@ def identified(robot, client):
 
 
 def test_a_measurement_that_is_stopped_writes_nothing_and_holds(robot):
-    client = Client(stop_at=0.2)
+    client = MeasuringClient(stop_at=0.2)
     guide, has_stopped, lines = identified(robot, client)
     assert has_stopped
     assert client.answers[0][0] == 3
@@ -170,7 +170,7 @@ def test_a_measurement_that_is_stopped_writes_nothing_and_holds(robot):
 def test_a_joint_without_room_is_not_measured_and_the_client_is_told(tmp_path):
     path = tmp_path / "tight.yaml"
     path.write_text(ROBOT.replace("{id: 1}", "{id: 1, range_deg: [-1, 1]}"))
-    client = Client()
+    client = MeasuringClient()
     guide, _, lines = identified(load_robot(path), client)
     assert guide is None
     assert client.sent[-1].state == "failed"

@@ -28,7 +28,7 @@ from tests.tables import first_quick
 ARM = Path(__file__).resolve().parents[2] / "sequences" / "robots" / "desk_arm.yaml"
 
 
-class Person:
+class HandPerson:
     """Lets go, records for some seconds, ends; keeps what was said. A `Controls` of the runner."""
 
     def __init__(self, take: Take, seconds: float) -> None:
@@ -55,7 +55,7 @@ class Person:
 def shown(robot, hand, *, seconds=6.0, faults=(), seed=0, is_soft=False):
     """Return what was recorded, the simulated bus, and when recording began."""
     take = Take(tuple(robot.joints))
-    person = Person(take, seconds)
+    person = HandPerson(take, seconds)
     hands_on = HandsOn(robot, list(robot.joints), is_soft=is_soft)
     clock = VirtualClock()
     with connect(
@@ -114,7 +114,7 @@ def test_every_turn_of_the_loop_waits_until_something_is_due() -> None:
         assert len(waits_ns) < 10_000, "time stands still"
 
     with connect(robot.buses, robot=robot, clock=clock) as connection:
-        run(hands_on, connection.ports, clock, controls=Person(take, 1.0), on_turn=note_wait)
+        run(hands_on, connection.ports, clock, controls=HandPerson(take, 1.0), on_turn=note_wait)
     count = sum(len(times) for times in take.parts[0].times_s.values())
     # A query that is sent, its answer, and the instant at which the line is free again.
     assert count < len(waits_ns) < 4 * count
@@ -162,7 +162,7 @@ def test_a_soft_joint_stays_where_it_was_pushed(tmp_path) -> None:
     take = Take(("base",))
     hands_on = HandsOn(robot, ["base"], is_soft=True)
 
-    class Pushing(Person):
+    class Pushing(HandPerson):
         def act(self, driven, now_ns):
             if driven.phase is Phase.SHOW and not self.began_ns:
                 self.began_ns = now_ns

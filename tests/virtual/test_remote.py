@@ -24,7 +24,7 @@ from tests.virtual.conftest import make_robot, make_sequence
 S = 1_000_000_000
 
 
-class Client:
+class SteeringClient:
     """A client whose `act` is called on each turn, so that virtual time is its time, too."""
 
     def __init__(self, rule=None, script=()):
@@ -127,7 +127,7 @@ def alone(show):
 
 
 def test_a_client_that_watches_changes_no_byte_and_sees_the_show(show, alone):
-    client = Client()
+    client = SteeringClient()
     assert lines(run(show, client)) == alone
     assert isinstance(client.events[0], m.Started)
     assert client.events[0].joints == ("j0", "j1")
@@ -145,7 +145,7 @@ def test_a_client_that_watches_changes_no_byte_and_sees_the_show(show, alone):
 
 
 def test_a_client_that_floods_and_never_reads_delays_no_byte(show, alone):
-    client = Client()
+    client = SteeringClient()
     client.reads = False
     flood = b"".join(
         k.value + len(c).to_bytes(4, "little") + c
@@ -169,7 +169,7 @@ def test_a_client_that_floods_and_never_reads_delays_no_byte(show, alone):
 
 
 def test_pause_and_resume_stand_and_go_on_along_the_path(show):
-    client = Client(
+    client = SteeringClient(
         script=[
             (at(1.2), sends(m.Pause(id=1))),
             (lambda player, now_ns: player.is_paused, lambda c: None),
@@ -191,7 +191,7 @@ def test_pause_and_resume_stand_and_go_on_along_the_path(show):
 
 
 def test_wishes_for_a_rate_as_fast_as_they_come_are_few_changes(show):
-    client = Client(script=[(at(1.0), lambda c: None)])
+    client = SteeringClient(script=[(at(1.0), lambda c: None)])
     ratios = iter(np.linspace(0.6, 0.9, 600))
 
     def wish(player, now_ns):
@@ -213,13 +213,17 @@ def last_line(result):
 
 
 def test_stop_by_two_ways_at_once_brakes_and_gives_settings_back(show):
-    client = Client(script=[(at(1.2), lambda c: (c.send(m.Stop(id=1)), c.send(m.Stop(id=2))))])
+    client = SteeringClient(
+        script=[(at(1.2), lambda c: (c.send(m.Stop(id=1)), c.send(m.Stop(id=2))))]
+    )
     result = run(show, client)
     assert client.outcome.report.outcome == "stopped"
     assert not any("not given back" in text for text in client.outcome.report.warnings)
     assert 1.2 < client.outcome.report.played_s < 2.2
     assert last_line(result) == b"#254H\r"
-    late = Client(script=[(at(1.2), lambda c: (c.send(m.Stop(id=1)), c.send(m.Pause(id=3))))])
+    late = SteeringClient(
+        script=[(at(1.2), lambda c: (c.send(m.Stop(id=1)), c.send(m.Pause(id=3))))]
+    )
     run(show, late)
     assert [e.id for e in late.of(m.Refused)] == [3]
 
@@ -230,7 +234,7 @@ def test_an_estop_overtakes_what_arrived_before_it(show):
         client.send(m.Stop(id=2))
         client.send(m.Estop(id=3))
 
-    client = Client(script=[(at(1.2), together)])
+    client = SteeringClient(script=[(at(1.2), together)])
     result = run(show, client)
     assert last_line(result) == b"#254H\r"
     # A stop would have given back the settings.
@@ -242,14 +246,14 @@ def test_an_estop_overtakes_what_arrived_before_it(show):
     ("rule", "outcome"), [("stop", "stopped"), ("hold", "stopped"), ("go_on", "finished")]
 )
 def test_a_client_that_is_gone_leaves_a_safe_robot(show, rule, outcome):
-    client = Client(LossRule(rule), [(at(1.2), lambda c: c.end.close())])
+    client = SteeringClient(LossRule(rule), [(at(1.2), lambda c: c.end.close())])
     result = run(show, client)
     assert client.outcome.report.outcome == outcome
     assert last_line(result) == b"#254H\r"
 
 
 def test_a_silent_client_is_lost_and_may_come_back(show):
-    client = Client(LossRule("hold", silent_s=0.5))
+    client = SteeringClient(LossRule("hold", silent_s=0.5))
     paused = []
 
     def beat(player, now_ns):
@@ -267,7 +271,7 @@ def test_a_silent_client_is_lost_and_may_come_back(show):
 
 
 def test_a_client_sends_the_show_elsewhere(show):
-    client = Client(
+    client = SteeringClient(
         script=[
             (at(1.2), lambda c: (c.send(m.Seek(id=1, to="start")), c.send(m.Seek(id=2, to=9.0)))),
         ]
@@ -282,10 +286,12 @@ def test_a_client_sends_the_show_elsewhere(show):
 
 def test_nothing_moves_before_go(show):
     ready = lambda player, now_ns: player.phase == "ready"  # noqa: E731
-    client = Client(script=[(ready, sends(m.Rate(id=1, ratio=2 / 3))), (ready, sends(m.Go(id=2)))])
+    client = SteeringClient(
+        script=[(ready, sends(m.Rate(id=1, ratio=2 / 3))), (ready, sends(m.Go(id=2)))]
+    )
     run(show, client, must_ask=True)
     assert client.outcome.report.outcome == "finished"
-    gone = Client(LossRule("go_on"), [(ready, lambda c: c.end.close())])
+    gone = SteeringClient(LossRule("go_on"), [(ready, lambda c: c.end.close())])
     result = run(show, gone, must_ask=True)
     assert gone.outcome.report.outcome == "stopped"
     assert not any(is_move(line) for _, line in lines(result))
@@ -293,7 +299,7 @@ def test_nothing_moves_before_go(show):
 
 def test_what_cannot_begin_ends_with_its_error(show):
     program, other = show[1], make_robot(1)
-    client = Client()
+    client = SteeringClient()
     client.outcome = play(
         Job(shows=program, robot=other, options={"is_virtual": True}), client.steering
     )
@@ -303,7 +309,7 @@ def test_what_cannot_begin_ends_with_its_error(show):
     assert "'j1'" in client.events[-1].error
 
 
-class Conductor(Operator):
+class ConductorStub(Operator):
     """Tells a player where a show is that plays already: at 0 s at the instant 3 s."""
 
     def take(self, now_ns):
@@ -327,7 +333,7 @@ def test_a_player_that_comes_back_stands_where_the_show_will_be_and_gains_speed_
     end, other = socket.socketpair()
     for one in (end, other):
         one.setblocking(False)
-    operator = Conductor(MessagePipe(other))
+    operator = ConductorStub(MessagePipe(other))
     job = Job(
         shows=program,
         robot=robot,

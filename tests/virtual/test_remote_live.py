@@ -22,7 +22,7 @@ S = 1_000_000_000
 SPEED_DEG_S = 40.0
 
 
-class Client:
+class LiveClient:
     """Sends at instants of virtual time; its link is read on each turn."""
 
     def __init__(self, script):
@@ -88,7 +88,7 @@ def robot(tmp_path):
 
 def run(robot, *script):
     """Return client, bus, times from the first state on, and the horns then."""
-    client = Client(script)
+    client = LiveClient(script)
     with lss.connect(robot, is_virtual=True) as live:
         LiveSession(live, client.operator, ServoTasks()).run()
         (bus,) = live._connection.simulated.values()

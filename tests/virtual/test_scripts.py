@@ -1,6 +1,7 @@
 """Scripts of commands, some of them impossible: which commands come out of the compiler again.
 
-`Servo` is a law of a servo of its own: it shares no code with planner, compiler or simulator.
+`ScriptedServo` is a law of a servo of its own: it shares no code with planner, compiler or
+simulator.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SEEDS = range(100, 104)
 lost (PRO: 4): two servos share an instant, and one of them turns back at full speed."""
 
 
-class Servo:
+class ScriptedServo:
     """One servo: it ramps to distance / T, cruises, and brakes so that it rests on its target."""
 
     def __init__(self) -> None:
@@ -116,7 +117,7 @@ def script(seed: int, impossible: float, units: int, ids: range) -> tuple[str, l
 
 def possible(commands: list[tuple], servo_id: int) -> list[tuple]:
     """Return the commands that a servo can carry out from where those before have brought it."""
-    servo, found = Servo(), []
+    servo, found = ScriptedServo(), []
     for command in commands:
         at_s, own_id, deg, duration_ms = command
         if own_id != servo_id:

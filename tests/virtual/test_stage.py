@@ -71,7 +71,7 @@ def repertoire():
     return Repertoire(shows(), figure())
 
 
-class Evening(Witness):
+class JudgedEvening(Witness):
     """Presses keys at their times, and also when an event has come: `replies` by its text."""
 
     def __init__(self, acts=(), replies=None):
@@ -113,7 +113,7 @@ class Evening(Witness):
 
 def play(acts=(), *, replies=None, faults=(), seed=0, first="idle", **options):
     """Run a stage; assert that the independent judge has nothing to object to."""
-    evening = Evening(acts, replies)
+    evening = JudgedEvening(acts, replies)
     observer = Observer(on_event=evening.on_event, controls=evening, make_tap=lambda _: evening)
     result = perform(
         repertoire(), figure(), first=first, is_virtual=True, seed=seed, faults=faults,
@@ -153,7 +153,7 @@ def test_each_way_to_start_a_show_is_no_step():
         resumed.append(left.reached_s)
         change("idle", left.reached_s)(player, now_ns)
 
-    evening = Evening(
+    evening = JudgedEvening(
         [
             (3.7, change("hello")),  # interrupts what loops
             (13.0, change("wave")),  # while idle: terminates it
@@ -385,7 +385,7 @@ def test_random_evenings_with_faults_break_no_limit(seed):
 def test_a_push_of_a_joint_that_has_rested_for_long_is_noticed_within_a_second(at_s):
     seen_s = []
 
-    class Look(Evening):
+    class Look(JudgedEvening):
         def act(self, driven, now_ns):
             super().act(driven, now_ns)
             states = {} if driven.show is None else driven.show.joint_states

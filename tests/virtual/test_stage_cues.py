@@ -60,7 +60,7 @@ def folder(tmp_path_factory):
     return path
 
 
-class Judge(Witness):
+class CueJudge(Witness):
     """Keeps all bytes of a run; virtual evenings are longer than a run of a campaign."""
 
     def act(self, driven, now_ns):
@@ -88,7 +88,7 @@ def evening(
     judges = [] if judges is None else judges
 
     def make_tap(_started_ns):
-        judges.append(Judge())
+        judges.append(CueJudge())
         return judges[-1]
 
     def judge(result, began_ns):
@@ -106,7 +106,7 @@ def evening(
         next_faults=faults,
         **options,
     )
-    hand = Hand(list(acts))
+    hand = CueHand(list(acts))
     if hands is not None:
         hands.append(hand)
     run = StageRun(planned, options, steerer=hand, note=records.append, tap=make_tap)
@@ -116,7 +116,7 @@ def evening(
     return end, records, runs
 
 
-class Hand:
+class CueHand:
     """An operator who acts at given times."""
 
     has_stopped, rate = False, 1.0

@@ -46,7 +46,7 @@ PHASES = (
 )
 
 
-class Hand:
+class OrderHand:
     """Gives an order when the player is first in a phase, after what leads there."""
 
     has_stopped, rate = False, 1.0
@@ -89,7 +89,7 @@ def faults_for(phase):
 def evening_with(folder, phase, order):
     path = folder / "orders.yaml"
     path.write_text(STAGE + CUES + MORE)
-    records, hand = [], Hand(phase, order)
+    records, hand = [], OrderHand(phase, order)
     options = Options(
         is_virtual=True,
         begins=BEGINS,

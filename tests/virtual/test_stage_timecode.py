@@ -53,7 +53,7 @@ SHOW_S = 10.0
 """Position at which `dance` begins."""
 
 
-class Desk:
+class TimecodeDesk:
     """A lighting desk: `at(seconds)` is its position and rate; None: it sends nothing."""
 
     def __init__(self, at, hand=None):
@@ -79,21 +79,21 @@ class Desk:
         return ()
 
 
-class Judge(Witness):
+class TimecodeJudge(Witness):
     """Keeps all bytes; ends nothing."""
 
     def act(self, driven, now_ns):
         self.end_ns = now_ns
 
 
-class Evening:
+class TimecodeEvening:
     """One evening with a desk, each horn judged."""
 
     def __init__(self, planned, at, lasts_s, hand=None, outs=()):
-        self.records, self.states, self.judge = [], [], Judge()
+        self.records, self.states, self.judge = [], [], TimecodeJudge()
         begins = datetime(2026, 10, 30, 18, tzinfo=UTC)
         options = Options(is_virtual=True, begins=begins, lasts_s=lasts_s, seed=1)
-        desk = Desk(at, hand)
+        desk = TimecodeDesk(at, hand)
         run = StageRun(
             planned,
             options,
@@ -152,7 +152,7 @@ def test_cues_fire_at_their_timecode_and_shows_stay_in_step_through_gaps_and_jum
                 return seconds + ahead_s, 1.0
         return None
 
-    evening = Evening(planned, at, 82.0)
+    evening = TimecodeEvening(planned, at, 82.0)
     assert [cue for cue, _ in evening.fired] == ["twelve", "later", "twelve"]
     assert [at_s for _, at_s in evening.fired] == pytest.approx([10.0, 38.0, 50.0], abs=0.021)
     for from_s, to_s, least in ((14, 17, 6), (18.6, 24, 6), (28, 34, 9), (54, 58, 5)):
@@ -178,7 +178,7 @@ def test_a_show_whose_timecode_stands_and_then_is_silent_goes_on_and_ends(tmp_pa
     def at(seconds):
         return (min(seconds, 14.0), float(seconds < 14.0)) if seconds < 15.0 else None
 
-    evening = Evening(planned, at, 55.0)
+    evening = TimecodeEvening(planned, at, 55.0)
     assert evening.over == ["idle left", "dance finished", "idle stopped"]
     assert "timecode: no leader for 2 s: the show goes on" in evening.texts
 
@@ -191,7 +191,7 @@ def test_a_show_begins_in_step_where_the_timecode_comes_to_its_beginning(tmp_pat
     def at(seconds):  # It stands 2 s before the show from 8 s to 20 s, when a person presses play.
         return (seconds, 1.0) if seconds < 8 else (max(seconds - 12.0, 8.0), float(seconds > 20))
 
-    evening = Evening(planned, at, 30.0)
+    evening = TimecodeEvening(planned, at, 30.0)
     assert evening.fired == [("twelve", pytest.approx(22.0, abs=0.021))]
     assert len(evening.off_ms(program, at, 10.5, 21.9)) == 0, "it waits"
     off_ms = evening.off_ms(program, at, 21.9, 26.0)
@@ -209,14 +209,16 @@ def test_a_show_that_is_ready_waits_for_the_timecode_and_not_for_one_that_was_lo
             return seconds - 1.0, 1.0
         return (seconds - 10.0, 1.0) if seconds > 18.0 else None
 
-    evening = Evening(planned, at, 26.0)
+    evening = TimecodeEvening(planned, at, 26.0)
     assert evening.fired == [("twelve", pytest.approx(20.0, abs=0.021))]
     assert len(evening.off_ms(program, at, 4.0, 19.9)) == 0
     off_ms = evening.off_ms(program, at, 19.9, 24.0)
     assert len(off_ms) >= 8
     assert np.abs(off_ms).max() < 3.0
 
-    lost = Evening(planned_in(tmp_path, "go_on"), lambda s: (s, 1.0) if s < 7.5 else None, 16.0)
+    lost = TimecodeEvening(
+        planned_in(tmp_path, "go_on"), lambda s: (s, 1.0) if s < 7.5 else None, 16.0
+    )
     assert lost.fired == []
     assert lost.over == ["idle left", "dance left", "idle stopped"], "it does not begin by itself"
 
@@ -224,7 +226,7 @@ def test_a_show_that_is_ready_waits_for_the_timecode_and_not_for_one_that_was_lo
 def test_a_show_after_one_that_waited_begins_at_once(tmp_path):
     """What holds a show before its start holds that show only."""
     planned = planned_in(tmp_path, "go_on", ", ready: true")
-    evening = Evening(planned, lambda _: None, 12.0, hand=(6.0, "later"))
+    evening = TimecodeEvening(planned, lambda _: None, 12.0, hand=(6.0, "later"))
     began_ns = next(ns for ns, target in evening.moves if ns > 6.5 * S and target > 15)
     assert evening.over[:2] == ["dance left", "wink finished"]
     assert began_ns < 8.0 * S
@@ -236,7 +238,7 @@ def test_without_timecode_a_show_holds_if_it_is_to_and_rejoins(tmp_path):
     def at(seconds):
         return seconds, 1.0
 
-    evening = Evening(planned, lambda s: None if 14.0 < s < 20.0 else at(s), 27.0)
+    evening = TimecodeEvening(planned, lambda s: None if 14.0 < s < 20.0 else at(s), 27.0)
     assert [cue for cue, _ in evening.fired] == ["twelve"]
     program = planned.shows["dance"].program
     assert len(evening.off_ms(program, at, 14.0, 16.0)) >= 3, "it freewheels"
@@ -252,7 +254,7 @@ def test_a_show_that_is_under_way_when_the_robot_is_ready_is_joined(tmp_path):
     def at(seconds):
         return seconds + 14.0, 1.0
 
-    evening = Evening(planned, at, 8.0)
+    evening = TimecodeEvening(planned, at, 8.0)
     assert [cue for cue, _ in evening.fired] == ["twelve"]
     off_ms = evening.off_ms(planned.shows["dance"].program, at, 6.0, 8.0)
     assert len(off_ms) >= 2
@@ -271,15 +273,15 @@ def test_a_show_plays_by_itself_where_there_is_nothing_to_follow(tmp_path):
     )
     short = plan_stage(load_stage(tmp_path / "stage.yaml"))
     assert short.shows["wink"].is_following
-    evening = Evening(short, at, 16.0)
+    evening = TimecodeEvening(short, at, 16.0)
     assert "wink finished" in evening.over
 
-    by_hand = Evening(planned, lambda _: None, 8.0, hand=(4.0, "twelve"))
+    by_hand = TimecodeEvening(planned, lambda _: None, 8.0, hand=(4.0, "twelve"))
     assert len(by_hand.off_ms(planned.shows["dance"].program, at, 6.0, 8.0)) >= 2
     assert by_hand.run.timecode.state_of(0)["state"] == "searching"
 
 
-class Out:
+class TimecodeOutStub:
     """A receiver that keeps what it is sent."""
 
     def __init__(self):
@@ -291,8 +293,10 @@ class Out:
 
 
 def test_the_clock_of_shows_that_cues_play_is_sent_and_stands_between_them(tmp_path):
-    out = Out()
-    evening = Evening(planned_in(tmp_path, "hold"), lambda _: None, 10.0, (4.0, "later"), [out])
+    out = TimecodeOutStub()
+    evening = TimecodeEvening(
+        planned_in(tmp_path, "hold"), lambda _: None, 10.0, (4.0, "later"), [out]
+    )
     assert evening.over == ["idle left", "wink finished", "idle stopped"]
     assert {show for show, _ in out.sent} == {"wink"}
     first, last = out.sent[0][1], out.sent[-1][1]

@@ -29,7 +29,7 @@ TOP = {
 }
 
 
-class Walk:
+class WalkedRobot:
     """One steered run. `script` is `(show time, what to do with (walk, player, now_ns))` in turn.
 
     After the script it is let go, and ends when it stands.
@@ -143,7 +143,7 @@ def at_random(top, count, *, seed):
 def test_whatever_is_steered_breaks_no_limit_and_ends_in_the_stand(monkeypatch, name):
     takes = np.random.default_rng(9)
     script = at_random(TOP[name], 6, seed=4)
-    walk = Walk(
+    walk = WalkedRobot(
         monkeypatch,
         name,
         script,
@@ -170,7 +170,7 @@ def test_a_plan_that_comes_too_late_lets_the_robot_stand_by_itself_and_walk_agai
 
     ahead = wish(Twist(forward_mm_s=30.0))
     script = [(1.0, ahead), (15.0, wish(STILL))]
-    walk = Walk(monkeypatch, "quadruped_trot", script, takes_s=takes_s)
+    walk = WalkedRobot(monkeypatch, "quadruped_trot", script, takes_s=takes_s)
     assert walk.report.outcome == "finished"
     assert walk.pilot.late == 1
     assert walk.pilot.taken > 3, "it has walked again"
@@ -185,7 +185,7 @@ def test_a_plan_that_comes_too_late_lets_the_robot_stand_by_itself_and_walk_agai
 
 def test_one_interruption_walks_to_the_stand_and_holds(monkeypatch):
     ahead = wish(Twist(forward_mm_s=25.0))
-    walk = Walk(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop)])
+    walk = WalkedRobot(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop)])
     assert walk.report.outcome == "stopped"
     assert walk.report.played_s > 5.0
     walk.assert_within_limits()
@@ -195,7 +195,7 @@ def test_one_interruption_walks_to_the_stand_and_holds(monkeypatch):
 
 def test_a_second_interruption_holds_at_once(monkeypatch):
     ahead = wish(Twist(forward_mm_s=25.0))
-    walk = Walk(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop), (4.3, stop)])
+    walk = WalkedRobot(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop), (4.3, stop)])
     assert walk.report.outcome == "stopped"
     assert walk.bus.lines[-1][1] == b"#254H\r"
     assert walk.bus.lines[-1][0] - walk.acted_ns[-1] < 20_000_000
@@ -206,7 +206,7 @@ def test_it_sits_down_from_its_stand_and_does_not_walk_while_it_sits(monkeypatch
     def sit(walk, player, now_ns):
         walk.pilot.commanded, walk.pilot.commanded_pose = STILL, walk.gait.sit
 
-    walk = Walk(
+    walk = WalkedRobot(
         monkeypatch,
         "hexapod_walk",
         [(1.0, wish(Twist(forward_mm_s=25.0))), (2.5, sit), (9.0, wish(STILL))],

@@ -55,7 +55,7 @@ def test_what_a_weekend_must_not_show_is_named(outcome):
 
 
 def test_the_judge_notices_moves_out_of_range_fast_horns_and_unsafe_ends():
-    class Bus:
+    class WeekendBus:
         def __init__(self):
             self.deg = [0.0]
             self.motors = self.horns = self
@@ -66,7 +66,7 @@ def test_the_judge_notices_moves_out_of_range_fast_horns_and_unsafe_ends():
             return self.deg
 
     judge = tool.Judge({1: (-100.0, 100.0)}, [(-10.0, 10.0)], [100.0])
-    bus = Bus()
+    bus = WeekendBus()
     judge.watch(bus)
     judge.sent("main", b"#1D90T500\r#1QD\r", 0)
     assert judge.objections == Counter()

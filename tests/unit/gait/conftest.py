@@ -14,7 +14,7 @@ from lss_motion.show.gait.model import PATTERNS, BodyPose, Walk
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 
 
-class Kit:
+class GaitKit:
     """Helpers of the tests, as a fixture: `conftest` modules cannot be imported by name."""
 
     examples = EXAMPLES
@@ -41,7 +41,7 @@ class Kit:
             "start": BodyPose(),
             "sway_mm": 22.0 if own.sway_ratio else 0.0,
             "cycle_s": 1.5,
-            "actions": actions or (Kit.walk(30.0),),
+            "actions": actions or (GaitKit.walk(30.0),),
             **fields,
         }
         return replace(load_gait(EXAMPLES / f"{name}.yaml"), **changes)
@@ -53,4 +53,4 @@ class Kit:
 
 @pytest.fixture
 def kit():
-    return Kit
+    return GaitKit

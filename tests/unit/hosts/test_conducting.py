@@ -238,7 +238,7 @@ RATE = 1.0003
 """Of the desk, whose clock is 300 ppm faster than that of the conductor."""
 
 
-class Desk:
+class ConductingDesk:
     """Gives ten legs a second: `at(seconds)` is a position and a rate, or None."""
 
     def __init__(self, world, at):
@@ -287,7 +287,7 @@ def test_timecode_leads_all_figures_from_their_first_move_through_a_stand_and_a_
             return 46.0, 0.0
         return position_s - (5.0 if position_s >= 52.0 else 0.0), RATE
 
-    own = begun(tmp_path, LED, lambda world: Desk(world, at))
+    own = begun(tmp_path, LED, lambda world: ConductingDesk(world, at))
     own.until(lambda: own.playing("hello"), 30.0)
     hosts = own.world.hosts.values()
     own.until(lambda: all(host.player.does == "ended" for host in hosts), 60.0)
@@ -307,7 +307,7 @@ def test_a_pause_and_a_lost_figure_hold_all_whatever_the_timecode_does(tmp_path)
     def at(seconds):
         return (20.0 + RATE * seconds, RATE) if seconds < 40.0 else None
 
-    own = begun(tmp_path, LED, lambda world: Desk(world, at), show_s=40.0)
+    own = begun(tmp_path, LED, lambda world: ConductingDesk(world, at), show_s=40.0)
     world, conductor = own.world, own.conductor
 
     def run(seconds):
@@ -341,7 +341,7 @@ def test_a_show_joins_the_timecode_after_as_long_as_the_robots_needed_before(tmp
         """In the middle of the show, then 6 s outside of it, and in it again."""
         return (45.0 if seconds < 20.0 else 95.0 if seconds < 26.0 else 20.0) + seconds, 1.0
 
-    own = begun(tmp_path, LED, lambda world: Desk(world, at), show_s=40.0)
+    own = begun(tmp_path, LED, lambda world: ConductingDesk(world, at), show_s=40.0)
     world, conductor = own.world, own.conductor
     leads_s = []
     for _ in range(2):

@@ -21,7 +21,7 @@ joints: {j: {id: 1, range_deg: [-90, 90]}}
 FIGURES = ("left", "right")
 
 
-class Peer:
+class PeerStub:
     """A network that delivers what the test gives it."""
 
     def __init__(self):
@@ -42,7 +42,7 @@ class Peer:
 def conductor(tmp_path):
     (tmp_path / "robot.yaml").write_text(ROBOT)
     player = SimpleNamespace(stop=lambda: None, report=lambda _: None)
-    peer = Peer()
+    peer = PeerStub()
     settings = NetworkSettings(
         stage="hall", figure="left", conductor="left", figures=FIGURES, address="127.0.0.1:7447"
     )

@@ -405,16 +405,16 @@ def test_a_model_that_is_not_the_joints_is_not_written_to(connected, spec, confi
 def test_the_answer_no_writes_nothing(connected, spec, configure, monkeypatch):
     import io
 
-    class Person(io.StringIO):
+    class TypedAnswers(io.StringIO):
         def isatty(self):
             return True
 
     connection = connected(spec(1), spec(2))
-    monkeypatch.setattr("sys.stdin", Person("n\n"))
+    monkeypatch.setattr("sys.stdin", TypedAnswers("n\n"))
     code, out, _ = configure(connection, "robot.yaml")
     assert (code, out.endswith("nothing was written\n")) == (EXIT_FINISHED, True)
     assert servos(connection)[1].eeprom["O"] == 0
-    monkeypatch.setattr("sys.stdin", Person("y\n"))
+    monkeypatch.setattr("sys.stdin", TypedAnswers("y\n"))
     assert configure(connection, "robot.yaml")[0] == EXIT_FINISHED
     assert servos(connection)[1].eeprom["O"] == 25
 

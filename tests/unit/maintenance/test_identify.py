@@ -44,7 +44,7 @@ RESTED_WINDOW = MotionWindow(-20.0, 20.0)
 RESTORED = {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600"}
 
 
-class Bench:
+class IdentifyBench:
     """A joint on a simulated bus in virtual time, and an experiment with it."""
 
     def __init__(self, joint=JOINT, span_deg=20.0, baud_bps=115200, **options):
@@ -133,7 +133,7 @@ def test_a_bad_line_loses_readings_but_not_the_result():
         Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.02),
     ]
     physics = Physics(lag_s=0.05, t_law="exact")
-    found = Bench(faults=rows, usb_latency_ns=10_000_000, physics=physics).identified()
+    found = IdentifyBench(faults=rows, usb_latency_ns=10_000_000, physics=physics).identified()
     assert found.delay_s.value == pytest.approx(0.0525, abs=0.005)
     assert found.turnaround_s[1] > 0.004  # The adapter holds answers back.
     assert found.t_law == ("exact", True)
@@ -143,7 +143,7 @@ def test_a_bad_line_loses_readings_but_not_the_result():
 def test_a_servo_too_weak_for_its_limit_is_reported_with_its_top_speed():
     joint = replace(JOINT, speed_max_deg_s=300.0, accel_max_deg_s2=1000.0)
     weak = Fault(kind=FaultKind.WEAK, speed_ratio=0.4)
-    bench = Bench(joint, span_deg=40.0, faults=[weak])
+    bench = IdentifyBench(joint, span_deg=40.0, faults=[weak])
     found = bench.identified()
     assert found.is_top
     assert found.top_deg_s.value == pytest.approx(0.4 * 360.0, rel=0.1)
@@ -154,7 +154,7 @@ def test_a_servo_too_weak_for_its_limit_is_reported_with_its_top_speed():
 
 @pytest.mark.slow
 def test_assumed_values_give_no_difference_and_unexplained_readings_are_refused():
-    bench = Bench()
+    bench = IdentifyBench()
     assert estimate.difference_lines(bench.identified(), bench.joint) == []
     swinging = np.random.default_rng(0).normal(0.0, 3.0, 1000)
     for trial in bench.experiment.recording.trials:
@@ -167,7 +167,7 @@ def test_assumed_values_give_no_difference_and_unexplained_readings_are_refused(
 
 
 def test_ctrl_c_brakes_within_the_ramps_restores_and_holds():
-    bench = Bench()
+    bench = IdentifyBench()
     fast = StopOnce(
         lambda e: (
             len(e.recording.trials) == 6 and e._trial.sent and e._moves == e._moves and _is_fast(e)
@@ -194,7 +194,7 @@ def _is_fast(experiment):
 
 
 def test_a_second_ctrl_c_ends_at_once_and_still_restores():
-    bench = Bench()
+    bench = IdentifyBench()
     bench.run(controls=StopOnce(_is_fast, times=2))
     received = bench.lines()
     assert received[-1] == b"#3H"
@@ -202,7 +202,7 @@ def test_a_second_ctrl_c_ends_at_once_and_still_restores():
 
 
 def test_a_lost_port_ends_with_an_attempt_to_restore_and_hold():
-    bench = Bench(faults=[Fault(kind=FaultKind.UNPLUGGED, at_s=3.0)])
+    bench = IdentifyBench(faults=[Fault(kind=FaultKind.UNPLUGGED, at_s=3.0)])
     with pytest.raises(BusError, match="lost port"):
         bench.run()
     safe = bench.experiment.safe_bytes()["main"].split(b"\r")[:-1]
@@ -211,7 +211,7 @@ def test_a_lost_port_ends_with_an_attempt_to_restore_and_hold():
 
 
 def test_a_servo_that_was_not_moved_gets_no_last_bytes():
-    bench = Bench()
+    bench = IdentifyBench()
     assert bench.experiment.safe_bytes() == {}
     bench.run(controls=StopOnce(lambda _: True))
     assert not any(line.startswith((b"#3D", b"#3H")) for line in bench.lines())
@@ -228,7 +228,7 @@ def test_a_servo_that_was_not_moved_gets_no_last_bytes():
     ],
 )
 def test_a_fault_of_a_servo_is_reported_and_it_is_left_safe(fault, error, text):
-    bench = Bench(faults=[fault])
+    bench = IdentifyBench(faults=[fault])
     experiment = bench.run()
     assert isinstance(experiment.error, error)
     assert any(part in str(experiment.error) for part in text.split("|"))
@@ -239,14 +239,14 @@ def test_a_fault_of_a_servo_is_reported_and_it_is_left_safe(fault, error, text):
 
 
 def test_a_blocked_horn_is_not_pushed_any_longer():
-    bench = Bench(faults=[Fault(kind=FaultKind.STUCK, at_s=2.0)])
+    bench = IdentifyBench(faults=[Fault(kind=FaultKind.STUCK, at_s=2.0)])
     bench.run()
     last = [line for line in bench.lines() if line.startswith(b"#3D")][-1]
     assert int(last[3:]) / 10 == pytest.approx(bench.horn_deg()[-1], abs=0.3)
 
 
 def test_a_horn_that_leaves_its_window_is_stopped():
-    bench = Bench()
+    bench = IdentifyBench()
     bench.experiment.window = MotionWindow(9.0, 11.0)  # As if its load threw it out.
     bench.experiment._plan = lambda: _plan_as_if(bench)
     experiment = bench.run()
@@ -262,7 +262,7 @@ def _plan_as_if(bench):
 
 
 def test_a_load_that_leaves_no_room_is_reported_before_any_trial():
-    experiment = Bench(droop_deg=7.0, span_deg=6.0, start_deg=0.0).run()
+    experiment = IdentifyBench(droop_deg=7.0, span_deg=6.0, start_deg=0.0).run()
     assert isinstance(experiment.error, InputError)
     assert "load" in str(experiment.error)
     assert experiment.recording.trials == []
@@ -422,7 +422,7 @@ def test_scatter_is_not_play():
 @pytest.mark.parametrize("at_s", [3.013, 5.2, 8.0])
 def test_a_restart_is_named_and_no_move_follows_it(at_s, deaf_s):
     reset = Fault(kind=FaultKind.RESET, servo_id=3, at_s=at_s, deaf_s=deaf_s)
-    bench = Bench(joint=replace(JOINT, speed_max_deg_s=60.0), faults=[reset])
+    bench = IdentifyBench(joint=replace(JOINT, speed_max_deg_s=60.0), faults=[reset])
     experiment = bench.run()
     text = str(experiment.error)
     assert "restarted" in text or (deaf_s > 1.0 and "stopped answering" in text)

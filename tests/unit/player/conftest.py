@@ -14,7 +14,7 @@ BUS = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
 TOLERANCE_DEG = 0.2
 
 
-class Kit:
+class PlayerKit:
     joint = staticmethod(joint)
     bus = BUS
 
@@ -46,7 +46,7 @@ class Kit:
 
 @pytest.fixture
 def kit():
-    return Kit
+    return PlayerKit
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ def planned_deg(state, at_ns):
     return state.profile.at(at_ns / 1e9 - state.lead_s)[0]
 
 
-class Desk:
+class PollingDesk:
     """A scheduler and the servos that answer it, in virtual time."""
 
     def __init__(
@@ -141,7 +141,7 @@ def joints(kit, count, **fields):
 
 
 def test_every_servo_gets_health_queries_in_turn_and_position_queries_always(kit):
-    desk = Desk(*joints(kit, 3)).run(0, S)
+    desk = PollingDesk(*joints(kit, 3)).run(0, S)
     for servo_id in (1, 2, 3):
         own = [(at_ns, word) for at_ns, _, one, word in desk.asked if one == servo_id]
         health = [(at_ns, word) for at_ns, word in own if word != "QD"]
@@ -162,7 +162,7 @@ def test_every_servo_gets_health_queries_in_turn_and_position_queries_always(kit
 
 def test_a_slow_line_is_not_spent_on_health(kit):
     """With many servos there are no rows: all are visited."""
-    desk = Desk(*joints(kit, 40), baud_bps=9600).run(0, 4 * S)
+    desk = PollingDesk(*joints(kit, 40), baud_bps=9600).run(0, 4 * S)
     words = [word for *_, word in desk.asked]
     at = [index for index, word in enumerate(words) if word != "QD"]
     assert {b - a for a, b in pairwise(at)} == {HEALTH_LEAST}
@@ -170,7 +170,7 @@ def test_a_slow_line_is_not_spent_on_health(kit):
 
 
 def test_a_single_servo_gets_few_health_queries_where_there_is_room(kit):
-    desk = Desk(*joints(kit, 1))
+    desk = PollingDesk(*joints(kit, 1))
     desk.tracker.depth = lambda _: 1
     desk.run(0, S)
     health_ns = [at_ns for at_ns, *_, word in desk.asked if word != "QD"]
@@ -179,7 +179,7 @@ def test_a_single_servo_gets_few_health_queries_where_there_is_room(kit):
 
 @pytest.mark.parametrize("baud_bps", [19200, 115200])
 def test_the_line_is_filled_with_answers(kit, baud_bps):
-    desk = Desk(*joints(kit, 2), baud_bps=baud_bps).run(0, S)
+    desk = PollingDesk(*joints(kit, 2), baud_bps=baud_bps).run(0, S)
     reply_ns = desk.line.time_ns(len(b"*1QD0\r"))
     share = sum(1 for at_ns, *_ in desk.asked if at_ns > S // 4) * reply_ns / (0.75 * S)
     assert share > 0.85
@@ -188,7 +188,7 @@ def test_the_line_is_filled_with_answers(kit, baud_bps):
 @pytest.mark.parametrize("stray_deg", [0.0, 0.5])
 def test_a_joint_is_polled_more_often_the_faster_it_moves_and_the_further_it_is_off(kit, stray_deg):
     joint_states = joints(kit, 8)
-    other, desk = joint_states[1], Desk(*joint_states)
+    other, desk = joint_states[1], PollingDesk(*joint_states)
     if stray_deg:
         desk.values[2, "QD"] = round(10 * stray_deg)
     else:
@@ -202,7 +202,7 @@ def test_a_joint_is_polled_more_often_the_faster_it_moves_and_the_further_it_is_
 @pytest.mark.parametrize("stray_deg", [0.0, 3.0, 9.0])
 def test_all_servos_of_a_bus_are_visited_whatever_one_of_them_does(kit, stray_deg, waits_ns):
     joint_states = joints(kit, 4)
-    desk = Desk(*joint_states, waits_ns=waits_ns)
+    desk = PollingDesk(*joint_states, waits_ns=waits_ns)
     if stray_deg:
         desk.values[1, "QD"] = round(10 * stray_deg)
     for index in range(8):
@@ -215,7 +215,7 @@ def test_all_servos_of_a_bus_are_visited_whatever_one_of_them_does(kit, stray_de
 
 def test_no_query_makes_a_move_late(kit):
     step_ns = 4 * MS
-    desk = Desk(*joints(kit, 2))
+    desk = PollingDesk(*joints(kit, 2))
     desk.run(0, S // 3, quiet_until_ns=lambda now_ns: (now_ns // step_ns + 1) * step_ns)
     assert len(desk.asked) > 200
     for at_ns, arrival_ns, *_ in desk.asked:
@@ -223,7 +223,7 @@ def test_no_query_makes_a_move_late(kit):
 
 
 def test_an_unexpected_command_waits_for_no_more_than_one_other(kit):
-    desk = Desk(*joints(kit, 2), baud_bps=19200).run(0, S)
+    desk = PollingDesk(*joints(kit, 2), baud_bps=19200).run(0, S)
     assert len(desk.asked) > 150
     backlogs_ns = [arrival_ns - at_ns for at_ns, arrival_ns, *_ in desk.asked]
     assert max(backlogs_ns) <= desk.line.time_ns(BACKLOG_BYTES)
@@ -232,7 +232,7 @@ def test_an_unexpected_command_waits_for_no_more_than_one_other(kit):
 
 def test_on_a_full_line_an_overdue_servo_is_polled_all_the_same(kit):
     """Seed 32164: on a host that was always late, moves were always due, and no query was sent."""
-    desk = Desk(*joints(kit, 4)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 4)).run(0, KNOWN_NS)
     desk.values |= {(2, word): None for word in ("QD", "QDT", *HEALTHY)}
     begun, now_ns = len(desk.asked), KNOWN_NS
     while now_ns < KNOWN_NS + 3 * S:
@@ -270,7 +270,7 @@ def test_one_bus_without_queries_is_starved_if_it_has_servos_to_poll(kit):
 
 def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question(kit):
     """A servo that restarts between two phases is missed before it is back (seed 15857)."""
-    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 2)).run(0, KNOWN_NS)
     desk.values |= {(1, word): None for word in ("QD", "QDT", *HEALTHY)}
     desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)
     last_reply_ns = desk.tracker.last_reply_ns(1)
@@ -283,7 +283,7 @@ def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question
 
 
 def test_a_servo_that_answers_is_not_silent_whether_accepted_or_not(kit):
-    desk = Desk(*joints(kit, 2))
+    desk = PollingDesk(*joints(kit, 2))
     for state in desk.joint_states.values():
         desk.scheduler.health.unanswered(state, 0, 0)
     for _ in range(2):
@@ -299,7 +299,7 @@ def test_a_servo_that_answers_is_not_silent_whether_accepted_or_not(kit):
 
 def test_no_servo_waits_for_long_because_others_are_busier(kit):
     """One that restarts must be missed before it is back, whatever the others do meanwhile."""
-    desk = Desk(*joints(kit, 18), baud_bps=57600)
+    desk = PollingDesk(*joints(kit, 18), baud_bps=57600)
     desk.values |= {(servo_id, "QD"): 200 for servo_id in range(2, 19)}
     arrival_ns = [h for _, h, one, _ in desk.run(0, 4 * S).asked if one == 1 and h > KNOWN_NS]
     longest_ns = max(b - a for a, b in pairwise(arrival_ns))
@@ -308,7 +308,7 @@ def test_no_servo_waits_for_long_because_others_are_busier(kit):
 
 @pytest.mark.parametrize("late_ns", [LATE_NS // 2, 5 * MS, 100 * MS])
 def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
-    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 2)).run(0, KNOWN_NS)
     for state in desk.joint_states.values():
         for ask in range(SILENT_QUERIES):
             desk.scheduler.health.unanswered(state, KNOWN_NS + ask, KNOWN_NS)
@@ -326,7 +326,7 @@ def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
 
 
 def test_what_is_done_between_two_wakeups_is_not_late(kit):
-    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 2)).run(0, KNOWN_NS)
     wakeup_ns = desk.scheduler.next_wakeup_ns(KNOWN_NS)
     desk.ask(wakeup_ns)
     desk.ask(wakeup_ns + 5 * MS)
@@ -336,7 +336,7 @@ def test_what_is_done_between_two_wakeups_is_not_late(kit):
 
 def test_a_servo_is_soon_polled_for_its_target_and_a_lost_move_is_found(kit):
     first, second = joints(kit, 2)
-    desk = Desk(first, second).run(0, KNOWN_NS)
+    desk = PollingDesk(first, second).run(0, KNOWN_NS)
     for state in (first, second):
         state.lost_moves.prompt = PROMPT_LEAST
         state.note_sent(KNOWN_NS, 300, 1000)
@@ -353,7 +353,7 @@ def test_a_servo_is_soon_polled_for_its_target_and_a_lost_move_is_found(kit):
 def test_the_target_of_a_move_is_queried_once(kit, baud_bps):
     """A second query, before the first is answered, would tell nothing more."""
     state = kit.state(kit.joint())
-    desk = Desk(state, *joints(kit, 3)[1:], baud_bps=baud_bps).run(0, S)
+    desk = PollingDesk(state, *joints(kit, 3)[1:], baud_bps=baud_bps).run(0, S)
     state.note_sent(S, 300, 900)
     desk.run(S, 2 * S)
     assert [word for *_, one, word in desk.asked if one == 1].count("QDT") == 1
@@ -362,7 +362,7 @@ def test_the_target_of_a_move_is_queried_once(kit, baud_bps):
 def watched(kit, **fields):
     """Return a desk with two servos that have other settings after a restart, of three."""
     probes = {name: [Probe("QAA", 60, 100), Probe("QSD", 1800, 3600)] for name in ("j0", "j1")}
-    desk = Desk(*joints(kit, 3), probes=probes, **fields)
+    desk = PollingDesk(*joints(kit, 3), probes=probes, **fields)
     for servo_id in (1, 2):
         desk.values |= {(servo_id, "QAA"): 60, (servo_id, "QSD"): 1800}
     return desk
@@ -396,7 +396,7 @@ def test_one_restart_lets_the_others_on_its_bus_be_examined_at_once(kit):
 def test_a_joint_in_em0_that_stands_while_its_model_moves_is_asked_for_its_settings(kit):
     """After a restart of 20 ms that no query met it was led on at factory speed for 0.2 s."""
     state = kit.state(kit.joint("j0", 1, drive="streamed"))
-    desk = Desk(state, probes={"j0": [Probe("QEM", 0, 1)]})
+    desk = PollingDesk(state, probes={"j0": [Probe("QEM", 0, 1)]})
     desk.values |= {(1, "QEM"): 0, (1, "QD"): 0}
     desk.run(0, S)
     for step in range(8):
@@ -409,7 +409,7 @@ def test_a_joint_in_em0_that_stands_while_its_model_moves_is_asked_for_its_setti
 def test_when_all_servos_fall_silent_all_are_held_back(kit):
     """Queries to the first that was noticed left none for the others, which got moves on."""
     probes = {f"j{i}": [Probe("QAA", 60, 100)] for i in range(6)}
-    desk = Desk(*joints(kit, 6), probes=probes)
+    desk = PollingDesk(*joints(kit, 6), probes=probes)
     desk.values |= {(servo_id, "QAA"): 60 for servo_id in range(1, 7)}
     desk.run(0, S // 2)
     assert all(state.takes_moves for state in desk.joint_states.values())
@@ -428,7 +428,7 @@ def silent(desk, *ids):
 
 def test_of_servos_that_fall_silent_together_one_that_was_not_polled_is_held_back(kit):
     """Timeouts of two that rest took all queries; the third had restarted, and got a move."""
-    desk = Desk(*joints(kit, 3), probes={"j2": [Probe("QAA", 60, 100)]})
+    desk = PollingDesk(*joints(kit, 3), probes={"j2": [Probe("QAA", 60, 100)]})
     desk.values[3, "QAA"] = 60
     desk.run(0, S // 2)
     silent(desk, 1, 2)
@@ -440,7 +440,7 @@ def test_of_servos_that_fall_silent_together_one_that_was_not_polled_is_held_bac
 
 def test_two_silent_servos_hold_no_others_back_that_answer(kit):
     probes = {f"j{i}": [Probe("QAA", 60, 100)] for i in range(6)}
-    desk = Desk(*joints(kit, 6), probes=probes)
+    desk = PollingDesk(*joints(kit, 6), probes=probes)
     desk.values |= {(servo_id, "QAA"): 60 for servo_id in range(1, 7)}
     desk.run(0, S // 2)
     silent(desk, 1, 2)
@@ -464,7 +464,7 @@ def test_a_servo_that_falls_silent_lets_the_others_of_its_bus_be_examined(kit):
 
 def test_a_limp_servo_is_held_back_until_its_settings_are_known(kit):
     (state,) = joints(kit, 1)
-    desk = Desk(state, probes={"j0": [Probe("QAA", 60, 100)]})
+    desk = PollingDesk(state, probes={"j0": [Probe("QAA", 60, 100)]})
     desk.values[1, "QAA"] = 60
     desk.run(0, S // 2)
     desk.values |= {(1, "Q"): 1, (1, "QAA"): None}
@@ -479,7 +479,7 @@ def test_a_limp_servo_is_held_back_until_its_settings_are_known(kit):
 
 def test_an_lss_that_was_sent_a_move_and_reports_no_target_is_held_back(kit):
     state = kit.state(kit.joint())
-    desk = Desk(state, probes={"j0": [Probe("QAA", 60, 100)]})
+    desk = PollingDesk(state, probes={"j0": [Probe("QAA", 60, 100)]})
     desk.values |= {(1, "QAA"): 60}
     desk.run(0, S // 2)
     state.note_sent(S // 2, 300, 900)
@@ -493,7 +493,7 @@ def test_an_lss_that_was_sent_a_move_and_reports_no_target_is_held_back(kit):
 
 def test_readings_that_tell_of_a_missed_move_are_passed_on(kit):
     (state,) = joints(kit, 1)
-    desk = Desk(state).run(0, KNOWN_NS)
+    desk = PollingDesk(state).run(0, KNOWN_NS)
     state.note_sent(KNOWN_NS, 300, 1000)
     desk.values[1, "QD"], desk.values[1, "QDT"] = 0, None
     desk.run(KNOWN_NS, KNOWN_NS + 200 * MS)
@@ -501,7 +501,7 @@ def test_readings_that_tell_of_a_missed_move_are_passed_on(kit):
 
 
 def test_a_doubt_is_settled_at_once(kit):
-    desk = Desk(*joints(kit, 3)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 3)).run(0, KNOWN_NS)
     desk.values[2, "Q"] = 9
     desk.run(KNOWN_NS, 2 * KNOWN_NS)
     own = [at_ns for at_ns, _, *question in desk.asked if question == [2, "Q"]]
@@ -512,14 +512,14 @@ def test_a_doubt_is_settled_at_once(kit):
 
 def test_an_rc_servo_gets_no_query(kit):
     joint = kit.joint("j1", 209, drive="stepped", model=SERVO_MODELS["LSS-2IO"])
-    desk = Desk(*joints(kit, 1), kit.state(joint)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 1), kit.state(joint)).run(0, KNOWN_NS)
     assert {one for _, _, one, _ in desk.asked} == {1}
 
 
 def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
     (state,) = joints(kit, 1)
     state.origin_s = 0.25
-    desk = Desk(state).run(0, S // 2)
+    desk = PollingDesk(state).run(0, S // 2)
     readings = state.disturbance.readings
     assert desk.counts()[1] - 20 <= readings <= desk.counts()[1]
     assert desk.scheduler.rejected == {"main": 0}
@@ -535,7 +535,7 @@ def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
 @pytest.mark.parametrize("value", ["DIS", None])
 def test_an_answer_without_a_number_is_ignored(kit, value):
     (state,) = joints(kit, 1)
-    desk = Desk(state)
+    desk = PollingDesk(state)
     desk.ask(MS)
     desk.scheduler.receive("main", Reply(1, "QD", value), 3 * MS, planned_deg)
     assert desk.tracker.reply_count == 1
@@ -543,7 +543,7 @@ def test_an_answer_without_a_number_is_ignored(kit, value):
 
 
 def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
-    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 2)).run(0, KNOWN_NS)
     for word in ("QD", *HEALTH_KEYWORDS):
         desk.values[2, word] = None
     desk.run(KNOWN_NS, KNOWN_NS + 900 * MS)
@@ -563,7 +563,7 @@ def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
 
 
 def test_a_silent_servo_alone_on_its_bus_is_polled_on(kit):
-    desk = Desk(*joints(kit, 1)).run(0, KNOWN_NS)
+    desk = PollingDesk(*joints(kit, 1)).run(0, KNOWN_NS)
     for word in ("QD", *HEALTH_KEYWORDS):
         desk.values[1, word] = None
     desk.run(KNOWN_NS, KNOWN_NS + S)
@@ -574,14 +574,14 @@ def test_a_silent_servo_alone_on_its_bus_is_polled_on(kit):
 
 def test_a_joint_that_is_read_off_its_course_is_astray(kit):
     (state,) = joints(kit, 1, following_deg=1.0)
-    desk = Desk(state)
+    desk = PollingDesk(state)
     desk.values[1, "QD"] = 30
     desk.run(0, 700 * MS)
     assert desk.scheduler.health.active_faults.keys() == {("j0", Cause.ASTRAY)}
 
 
 def test_a_row_is_as_long_as_it_must_be_for_answers_to_fill_their_line(kit):
-    desk = Desk(*joints(kit, 3), waits_ns=(300_000, 450_000)).run(0, S // 2)
+    desk = PollingDesk(*joints(kit, 3), waits_ns=(300_000, 450_000)).run(0, S // 2)
     line, spread_ns = desk.line, desk.tracker.latency(1).spread_ns
     reply_ns, gap_ns = line.time_ns(len(b"*1QD00\r")), spread_ns // 2 + line.time_ns(1)
     shares = {count: count * reply_ns / (count * reply_ns + gap_ns) for count in range(1, 40)}
@@ -595,7 +595,7 @@ def test_the_sensor_of_a_wait_is_polled_in_time_and_its_answer_is_used(kit):
     point = WaitPoint(at_s=0.5, wait=Wait(sensor="eye", side="below", threshold=300.0))
     sensor = Sensor(name="eye", servo_id=209, bus="main")
     waiting = Waiting([(0.5, point)], {"eye": sensor}, 0.0)
-    desk = Desk(*joints(kit, 2), waiting=waiting)
+    desk = PollingDesk(*joints(kit, 2), waiting=waiting)
     desk.values[209, "QA"] = 500
     clock = ShowClock(0, 0.0, 1.0)
     desk.run(0, S // 2)

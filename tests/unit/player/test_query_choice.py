@@ -20,11 +20,11 @@ from lss_motion.playing.player.query_choice import (
     Pace,
 )
 from lss_motion.playing.player.query_tracker import STARVED_NS
-from tests.unit.player.test_polling import KNOWN_NS, MS, Desk, S, joints
+from tests.unit.player.test_polling import KNOWN_NS, MS, PollingDesk, S, joints
 
 
 def by_need(*joint_states, pace=BY_NEED, **fields):
-    return Desk(*joint_states, pace=pace, **fields)
+    return PollingDesk(*joint_states, pace=pace, **fields)
 
 
 def asked(desk, word, servo_id=1, from_ns=KNOWN_NS):

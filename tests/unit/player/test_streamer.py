@@ -50,7 +50,7 @@ def move(due_s, target_deg, lasts_s=0.8, servo_id=1):
 THERE_AND_BACK = (move(0.1, 40.0), move(1.2, -20.0))
 
 
-class Stage:
+class StreamedShow:
     """A streamer on a line, in virtual time."""
 
     def __init__(
@@ -149,7 +149,7 @@ def set_rate(stage, rate):
 
 
 def test_every_move_leaves_when_it_is_due_as_it_is(kit):
-    stage = Stage(kit).run(3.0)
+    stage = StreamedShow(kit).run(3.0)
     assert stage.sent == [(0.1, THERE_AND_BACK[0].data), (1.2, THERE_AND_BACK[1].data)]
     timing = stage.streamer.statistics.timing()
     assert (timing["commands"], timing["missed"], timing["late_max_us"]) == (2, 0, 0)
@@ -159,7 +159,7 @@ def test_every_move_leaves_when_it_is_due_as_it_is(kit):
 @pytest.mark.parametrize("is_starved", [False, True])
 def test_questions_wait_until_the_moves_have_left_unless_they_have_waited_too_long(kit, is_starved):
     dense = [move(0.1 + 0.02 * number, 40.0) for number in range(10)]
-    stage, last_sent_ns = Stage(kit, dense, has_feedback=True), set()
+    stage, last_sent_ns = StreamedShow(kit, dense, has_feedback=True), set()
     stage.streamer.scheduler.poll = lambda *_: last_sent_ns.add(stage.now_ns)
     stage.streamer.scheduler.is_starved = lambda _: is_starved
     behind_ns = set()
@@ -173,7 +173,7 @@ def test_questions_wait_until_the_moves_have_left_unless_they_have_waited_too_lo
 
 
 def test_no_servo_is_polled_behind_a_move_that_is_late(kit):
-    stage, behind_ns = Stage(kit, (move(0.1, 40.0), move(0.3, 20.0)), has_feedback=True), []
+    stage, behind_ns = StreamedShow(kit, (move(0.1, 40.0), move(0.3, 20.0)), has_feedback=True), []
     stage.streamer.scheduler.is_starved = lambda _: False
     stage.streamer.scheduler.poll_behind = lambda now_ns, _: behind_ns.append(now_ns)
     for at_s in (0.1, 0.302):
@@ -183,14 +183,14 @@ def test_no_servo_is_polled_behind_a_move_that_is_late(kit):
 
 
 def test_a_show_starts_with_what_is_due_before_its_time_0(kit):
-    stage = Stage(kit, (move(-0.05, 40.0), move(1.2, -20.0))).run(3.0)
+    stage = StreamedShow(kit, (move(-0.05, 40.0), move(1.2, -20.0))).run(3.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.0, 1.25])
     assert stage.streamer.show_s(START_NS) == -0.05
     assert stage.state.origin_s == pytest.approx(START_NS / 1e9 + 0.05)
 
 
 def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
-    stage = Stage(kit).run(END_S)
+    stage = StreamedShow(kit).run(END_S)
     assert stage.streamer.next_wakeup_ns(stage.now_ns) == START_NS + round(1e9 * (END_S + SETTLE_S))
     assert not stage.streamer.is_finished(stage.now_ns)
     assert not stage.streamer.is_finished(START_NS + round(1e9 * (END_S + SETTLE_S)) - 1)
@@ -200,7 +200,7 @@ def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
 
 
 def test_the_show_waits_for_moves_that_were_sent_late(kit):
-    stage = Stage(kit, (move(0.1, 40.0), move(2.0, -40.0))).run(1.9)
+    stage = StreamedShow(kit, (move(0.1, 40.0), move(2.0, -40.0))).run(1.9)
     stage.now_ns = START_NS + round(2.4e9)
     stage.step()
     assert not stage.streamer.is_finished(stage.now_ns)
@@ -210,7 +210,7 @@ def test_the_show_waits_for_moves_that_were_sent_late(kit):
 
 def test_all_joints_must_have_come_to_rest(kit):
     moves = (move(0.1, 40.0), move(0.2, 40.0, servo_id=2))
-    stage = Stage(kit, moves, others=[kit.joint("j1", 2)], duration_s=0.3).run(0.6)
+    stage = StreamedShow(kit, moves, others=[kit.joint("j1", 2)], duration_s=0.3).run(0.6)
     assert stage.streamer.joint_states["j0"].is_at_rest(START_NS + 1040 * MS)
     assert not stage.streamer.is_finished(START_NS + 1040 * MS)
     assert stage.streamer.is_finished(START_NS + 1200 * MS)
@@ -218,7 +218,7 @@ def test_all_joints_must_have_come_to_rest(kit):
 
 @pytest.mark.parametrize(("late_s", "said"), [(0.0004, b"T800"), (0.2, b"T600"), (0.9, b"T223")])
 def test_a_late_move_has_what_is_left_of_its_time(kit, late_s, said):
-    stage = Stage(kit, (move(0.1, 40.0),)).run(0.05)
+    stage = StreamedShow(kit, (move(0.1, 40.0),)).run(0.05)
     stage.now_ns = START_NS + round(1e9 * (0.1 + late_s))
     stage.step()
     assert stage.sent[0][1] == b"#1D400%b\r" % said
@@ -226,7 +226,7 @@ def test_a_late_move_has_what_is_left_of_its_time(kit, late_s, said):
 
 
 def test_a_move_that_waits_for_the_line_is_late_by_that(kit):
-    stage = Stage(kit, (move(0.1, 40.0),)).run(0.05)
+    stage = StreamedShow(kit, (move(0.1, 40.0),)).run(0.05)
     stage.line.send(b"." * 1200, START_NS + 100 * MS)
     stage.now_ns = START_NS + 100 * MS
     stage.step()
@@ -235,14 +235,14 @@ def test_a_move_that_waits_for_the_line_is_late_by_that(kit):
 
 
 def test_what_was_learnt_of_a_lag_lets_moves_leave_earlier(kit):
-    stage = Stage(kit)
+    stage = StreamedShow(kit)
     stage.state.early_s = 0.03
     stage.run(3.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.07, 1.17])
 
 
 def test_a_joint_that_lags_more_than_before_gets_the_latest_of_its_moves_only(kit):
-    stage = Stage(kit, tuple(move(1.0 + 0.01 * one, one, 0.2) for one in range(20)))
+    stage = StreamedShow(kit, tuple(move(1.0 + 0.01 * one, one, 0.2) for one in range(20)))
     stage.run(1.05)
     stage.state.early_s = 0.03
     stage.run(3.0)
@@ -253,7 +253,7 @@ def test_a_joint_that_lags_more_than_before_gets_the_latest_of_its_moves_only(ki
 
 
 def test_a_joint_that_is_left_out_is_sent_nothing_until_it_is_back(kit):
-    stage = Stage(kit)
+    stage = StreamedShow(kit)
     stage.streamer.leave_out({"j0"})
     stage.run(1.0)
     assert stage.sent == []
@@ -264,7 +264,7 @@ def test_a_joint_that_is_left_out_is_sent_nothing_until_it_is_back(kit):
 
 @pytest.mark.parametrize("at_s", [0.35, 0.6, 1.25])
 def test_a_pause_brakes_on_the_path_stands_and_goes_on_from_there(kit, at_s):
-    stage = Stage(kit).run(at_s)
+    stage = StreamedShow(kit).run(at_s)
     set_rate(stage, 0.0)
     assert stage.streamer.rate_wanted == 0.0
     stage.run(at_s + 2.0)
@@ -290,7 +290,7 @@ def test_a_pause_brakes_on_the_path_stands_and_goes_on_from_there(kit, at_s):
 
 
 def test_at_half_the_speed_the_path_is_the_same_and_the_moves_of_the_program_are_left_out(kit):
-    stage = Stage(kit)
+    stage = StreamedShow(kit)
     set_rate(stage, 0.5)
     stage.run(6.0)
     assert stage.off_deg() < 1.5
@@ -302,7 +302,7 @@ def test_at_half_the_speed_the_path_is_the_same_and_the_moves_of_the_program_are
 
 
 def test_back_at_full_speed_the_move_under_way_is_taken_up_with_what_is_left_of_it(kit):
-    stage = Stage(kit, (move(0.1, 80.0, 2.0), move(2.6, -20.0)), duration_s=4.0)
+    stage = StreamedShow(kit, (move(0.1, 80.0, 2.0), move(2.6, -20.0)), duration_s=4.0)
     set_rate(stage, 0.5)
     stage.run(1.0)
     set_rate(stage, 1.0)
@@ -319,7 +319,7 @@ def test_back_at_full_speed_the_move_under_way_is_taken_up_with_what_is_left_of_
 
 
 def test_a_late_tick_of_a_ramp_is_counted_and_the_last_one_ends_with_it(kit):
-    stage = Stage(kit).run(0.5)
+    stage = StreamedShow(kit).run(0.5)
     set_rate(stage, 0.0)
     stage.run(2.0, late_s=0.003)
     assert stage.streamer.statistics.max_ns == pytest.approx(3 * MS, abs=MS // 10)
@@ -331,7 +331,7 @@ def test_a_late_tick_of_a_ramp_is_counted_and_the_last_one_ends_with_it(kit):
 
 
 def test_it_may_start_anywhere_from_rest(kit):
-    stage = Stage(kit, (move(0.1, 80.0, 2.0), move(2.6, -20.0)), start_s=0.6, duration_s=4.0)
+    stage = StreamedShow(kit, (move(0.1, 80.0, 2.0), move(2.6, -20.0)), start_s=0.6, duration_s=4.0)
     stage.state.stand_at(stage.state.plan.at(0.6)[0])
     clock = stage.streamer.clock
     assert clock.rate(START_NS) == 0.0
@@ -345,7 +345,7 @@ def test_it_may_start_anywhere_from_rest(kit):
 
 
 def test_a_lost_move_is_sent_again_at_once(kit):
-    stage = Stage(kit, has_feedback=True)
+    stage = StreamedShow(kit, has_feedback=True)
     stage.run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
@@ -366,7 +366,9 @@ def lose(stage):
 
 
 def test_a_move_that_is_always_lost_is_given_up_until_the_next_one(kit):
-    stage = Stage(kit, (move(0.1, 40.0), move(6.0, -20.0)), has_feedback=True, duration_s=8.0)
+    stage = StreamedShow(
+        kit, (move(0.1, 40.0), move(6.0, -20.0)), has_feedback=True, duration_s=8.0
+    )
     for number in range(2 * RETRIES_MAX):
         stage.run(0.4 + 0.1 * number)
         lose(stage)
@@ -379,7 +381,7 @@ def test_a_move_that_is_always_lost_is_given_up_until_the_next_one(kit):
 
 @pytest.mark.parametrize("ends", ["show", "brake"])
 def test_no_joint_that_never_rests_keeps_a_show_from_its_end(kit, ends):
-    stage = Stage(kit, has_feedback=True).run(END_S if ends == "show" else 0.5)
+    stage = StreamedShow(kit, has_feedback=True).run(END_S if ends == "show" else 0.5)
     if ends == "brake":
         set_rate(stage, 0.0)
         stage.run(1.5)
@@ -393,7 +395,7 @@ def test_no_joint_that_never_rests_keeps_a_show_from_its_end(kit, ends):
 
 @pytest.mark.parametrize("rate", [0.0, 0.5])
 def test_a_lost_move_is_not_sent_again_while_the_show_is_slowed_down(kit, rate):
-    stage = Stage(kit, has_feedback=True)
+    stage = StreamedShow(kit, has_feedback=True)
     stage.run(0.4)
     set_rate(stage, rate)
     stage.run(2.0)
@@ -405,7 +407,7 @@ def test_a_lost_move_is_not_sent_again_while_the_show_is_slowed_down(kit, rate):
 
 
 def test_the_deferred_rest_of_a_move_is_dropped_when_the_show_brakes(kit):
-    stage = Stage(kit, has_feedback=True).run(0.4)
+    stage = StreamedShow(kit, has_feedback=True).run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
@@ -419,7 +421,7 @@ def test_the_deferred_rest_of_a_move_is_dropped_when_the_show_brakes(kit):
 
 
 def test_a_joint_that_is_left_out_has_no_deferred_target_and_does_not_delay_the_end(kit):
-    stage = Stage(kit, has_feedback=True).run(0.4)
+    stage = StreamedShow(kit, has_feedback=True).run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.leave_out({"j0"})
     sent = len(stage.sent)
@@ -434,7 +436,7 @@ def test_a_joint_that_is_left_out_has_no_deferred_target_and_does_not_delay_the_
 def test_a_show_that_repeats_goes_on_and_is_never_over(kit):
     moves = (move(0.1, 40.0), move(1.1, 0.0))
     repeat = Repeat(from_us=0, to_us=2_000_000)
-    stage = Stage(kit, moves, duration_s=math.inf, repeat=repeat).run(9.0)
+    stage = StreamedShow(kit, moves, duration_s=math.inf, repeat=repeat).run(9.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx(
         [0.1, 1.1, 2.1, 3.1, 4.1, 5.1, 6.1, 7.1, 8.1]
     )
@@ -444,7 +446,7 @@ def test_a_show_that_repeats_goes_on_and_is_never_over(kit):
 
 @pytest.mark.parametrize("is_met", [True, False])
 def test_it_stands_at_a_wait_until_that_is_met_or_its_time_is_over(kit, is_met):
-    stage = Stage(kit, waits=(waits_at(1.1, timeout_s=2.0),), has_feedback=True).run(2.0)
+    stage = StreamedShow(kit, waits=(waits_at(1.1, timeout_s=2.0),), has_feedback=True).run(2.0)
     assert [at_s for at_s, _ in stage.sent] == [0.1]
     assert stage.streamer.clock.show_s(stage.now_ns) == 1.1
     assert stage.streamer.rate_wanted == 1.0
@@ -460,7 +462,7 @@ def test_it_stands_at_a_wait_until_that_is_met_or_its_time_is_over(kit, is_met):
 
 
 def test_a_rate_that_is_set_during_a_wait_holds_after_it(kit):
-    stage = Stage(kit, waits=(waits_at(1.1, timeout_s=1.0),), has_feedback=True).run(1.5)
+    stage = StreamedShow(kit, waits=(waits_at(1.1, timeout_s=1.0),), has_feedback=True).run(1.5)
     set_rate(stage, 0.5)
     assert stage.streamer.rate_wanted == 0.5
     assert stage.streamer.clock.target_rate == 0.0
@@ -470,7 +472,7 @@ def test_a_rate_that_is_set_during_a_wait_holds_after_it(kit):
 
 
 def test_what_is_not_due_yet_may_be_replaced(kit):
-    stage = Stage(kit)
+    stage = StreamedShow(kit)
     stage.streamer.is_open = True
     stage.run(0.5)
     moves = (move(1.0, 40.0), move(1.5, 60.0))
@@ -496,7 +498,7 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
 
 
 def test_lines_are_quiet_until_the_next_move(kit):
-    stage = Stage(kit).run(0.5)
+    stage = StreamedShow(kit).run(0.5)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1200 * MS
     stage.state.defer(START_NS + 800 * MS, 40.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 800 * MS
@@ -513,7 +515,7 @@ def test_a_streamed_joint_is_led_through_a_pause_and_then_has_its_own_moves_agai
     joint = kit.joint("j0", 2, drive="streamed")
     steps_s = np.arange(0.1043, 2.0, 0.02)  # Where its filter is assumed to take them.
     moves = [move(s, 30.0 * np.sin(3.0 * (s - 0.1)), None, servo_id=2) for s in steps_s]
-    stage = Stage(kit, moves, joint=joint).run(0.5)
+    stage = StreamedShow(kit, moves, joint=joint).run(0.5)
     set_rate(stage, 0.0)
     stage.run(2.0)
     assert stage.streamer.is_standing(stage.now_ns)
@@ -537,7 +539,7 @@ def test_a_streamed_joint_is_led_through_a_pause_and_then_has_its_own_moves_agai
 
 
 def test_after_a_recovery_it_goes_on_at_rate_0_from_where_servos_were_sent(kit):
-    stage = Stage(kit, has_feedback=True)
+    stage = StreamedShow(kit, has_feedback=True)
     stage.run(0.4)
     set_rate(stage, 0.0)
     stage.run(2.0)
@@ -556,7 +558,7 @@ def test_after_a_recovery_it_goes_on_at_rate_0_from_where_servos_were_sent(kit):
 
 def test_a_joint_at_rest_in_its_place_is_sent_nothing_when_a_pause_ends(kit):
     moves = (move(0.1, 40.0), move(2.0, -20.0))
-    stage = Stage(kit, moves, duration_s=3.0).run(1.0)
+    stage = StreamedShow(kit, moves, duration_s=3.0).run(1.0)
     set_rate(stage, 0.0)
     stage.run(2.0)
     set_rate(stage, 1.0)
@@ -565,7 +567,7 @@ def test_a_joint_at_rest_in_its_place_is_sent_nothing_when_a_pause_ends(kit):
 
 
 def test_in_a_pause_it_wakes_when_it_stands_and_is_not_over_even_at_its_end(kit):
-    stage = Stage(kit).run(END_S + 0.05)
+    stage = StreamedShow(kit).run(END_S + 0.05)
     set_rate(stage, 0.0)
     stage.step()
     while stage.streamer.clock.is_ramping(stage.now_ns):
@@ -578,13 +580,13 @@ def test_in_a_pause_it_wakes_when_it_stands_and_is_not_over_even_at_its_end(kit)
 
 
 def test_a_small_change_of_the_rate_takes_no_longer_than_it_must(kit):
-    stage = Stage(kit, (move(0.1, 80.0),)).run(0.5)
+    stage = StreamedShow(kit, (move(0.1, 80.0),)).run(0.5)
     set_rate(stage, 0.9)
     assert stage.streamer.clock.ramp_end_ns - stage.now_ns == 300 * MS
 
 
 def test_between_two_ticks_of_a_slower_show_lines_are_quiet(kit):
-    stage = Stage(kit)
+    stage = StreamedShow(kit)
     set_rate(stage, 0.5)
     stage.run(0.71)
     wakeup_ns = stage.streamer.next_wakeup_ns(stage.now_ns)
@@ -592,7 +594,7 @@ def test_between_two_ticks_of_a_slower_show_lines_are_quiet(kit):
 
 
 def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
-    stage = Stage(kit)
+    stage = StreamedShow(kit)
     stage.state.defer(START_NS + S, 5.0)
     stage.streamer.leave_out(())
     assert stage.state.resend_ns == START_NS + S
@@ -601,7 +603,7 @@ def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
 
 
 def test_the_scheduler_polls_while_lines_are_quiet_and_receives_every_answer(kit):
-    stage, calls = Stage(kit, has_feedback=True), []
+    stage, calls = StreamedShow(kit, has_feedback=True), []
     stage.streamer.scheduler.poll = lambda *args: calls.append(args)
     stage.streamer.scheduler.receive = lambda *args: calls.append(args[:3])
     stage.step()
@@ -612,7 +614,7 @@ def test_the_scheduler_polls_while_lines_are_quiet_and_receives_every_answer(kit
 
 
 def test_before_its_first_move_a_servo_cannot_have_missed_one(kit):
-    stage = Stage(kit, has_feedback=True).run(0.05)
+    stage = StreamedShow(kit, has_feedback=True).run(0.05)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
     assert (stage.line.take(), stage.state.resent) == (b"", 0)
@@ -621,7 +623,7 @@ def test_before_its_first_move_a_servo_cannot_have_missed_one(kit):
 @pytest.mark.parametrize("is_met", [True, False])
 def test_a_slower_show_stands_at_a_wait_on_its_path_and_goes_on_as_slowly(kit, is_met):
     waits = (waits_at(0.6, timeout_s=2.0),)
-    stage = Stage(kit, waits=waits, has_feedback=True)
+    stage = StreamedShow(kit, waits=waits, has_feedback=True)
     set_rate(stage, 0.5)
     stage.run(2.5)
     assert stage.streamer.show_s(stage.now_ns) == 0.6
@@ -638,7 +640,7 @@ def test_a_slower_show_stands_at_a_wait_on_its_path_and_goes_on_as_slowly(kit, i
 
 
 def test_before_the_first_move_another_rate_sends_nothing(kit):
-    stage = Stage(kit, (move(2.0, 40.0),), duration_s=3.0)
+    stage = StreamedShow(kit, (move(2.0, 40.0),), duration_s=3.0)
     set_rate(stage, 0.5)
     stage.run(0.5)
     set_rate(stage, 1.0)

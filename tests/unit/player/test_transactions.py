@@ -17,7 +17,7 @@ def order(servo_id, keyword, value, bus="main"):
     return Item(bus=bus, command=Command(servo_id, keyword, value), is_query=False)
 
 
-class Bench:
+class TransactionBench:
     """Plays the time and the servos; `replies` maps a query to its answers and their instants."""
 
     def __init__(self, items, replies, kit, buses=("main",)):
@@ -54,14 +54,14 @@ def echo(bus, data):
 
 
 def test_questions_are_answered_and_orders_sent_in_their_order(kit):
-    bench = Bench([ask(1), order(1, "EM", 1), ask(2)], echo, kit)
+    bench = TransactionBench([ask(1), order(1, "EM", 1), ask(2)], echo, kit)
     bench.run()
     assert [data for _, _, data in bench.sent] == [b"#1QD\r", b"#1EM1\r", b"#2QD\r"]
     assert bench.dialogue.answers == {("main", 1, "QD"): 10, ("main", 2, "QD"): 20}
 
 
 def test_orders_are_sent_no_faster_than_the_line_carries_them(kit):
-    bench = Bench([order(1, "AA", 60) for _ in range(20)], echo, kit)
+    bench = TransactionBench([order(1, "AA", 60) for _ in range(20)], echo, kit)
     end_ns = bench.run()
     starts_ns = [at_ns for at_ns, _, _ in bench.sent]
     assert end_ns >= 19 * bench.lines["main"].time_ns(7)
@@ -70,7 +70,9 @@ def test_orders_are_sent_no_faster_than_the_line_carries_them(kit):
 
 
 def test_a_silent_servo_is_polled_again_and_then_given_up(kit):
-    bench = Bench([ask(1), ask(2)], lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
+    bench = TransactionBench(
+        [ask(1), ask(2)], lambda bus, data: echo(bus, data) if b"#2" in data else [], kit
+    )
     bench.run()
     assert [data for _, _, data in bench.sent] == [b"#1QD\r"] * TRIES + [b"#2QD\r"]
     assert bench.dialogue.answers == {("main", 2, "QD"): 20}
@@ -84,7 +86,7 @@ def test_one_lost_answer_is_made_up_for(kit):
         tries.append(data)
         return [] if len(tries) == 1 else echo(bus, data)
 
-    bench = Bench([ask(1), ask(1, "Q")], forgetful, kit)
+    bench = TransactionBench([ask(1), ask(1, "Q")], forgetful, kit)
     bench.run()
     assert tries == [b"#1QD\r", b"#1QD\r", b"#1Q\r"]
     assert set(bench.dialogue.answers) == {("main", 1, "QD"), ("main", 1, "Q")}
@@ -96,7 +98,7 @@ def test_a_late_answer_is_not_taken_for_the_answer_to_another_question(kit, late
         is_first = data == b"#1QD\r" and len(bench.sent) == 1
         return [(late_ns, Reply(1, "QD", 666))] if is_first else echo(bus, data)
 
-    bench = Bench([ask(1), ask(1, "Q"), ask(2)], late_once, kit)
+    bench = TransactionBench([ask(1), ask(1, "Q"), ask(2)], late_once, kit)
     bench.run()
     assert bench.dialogue.answers[("main", 1, "QD")] == 10
     assert bench.trackers["main"].strays == 1
@@ -104,14 +106,14 @@ def test_a_late_answer_is_not_taken_for_the_answer_to_another_question(kit, late
 
 def test_buses_are_worked_through_side_by_side(kit):
     items = [ask(1, bus="a")] * 5 + [ask(2, bus="b")] * 5
-    bench = Bench(items, echo, kit, buses=("a", "b"))
+    bench = TransactionBench(items, echo, kit, buses=("a", "b"))
     both_ns = bench.run()
-    alone_ns = Bench(items[:5], echo, kit, buses=("a", "b")).run()
+    alone_ns = TransactionBench(items[:5], echo, kit, buses=("a", "b")).run()
     assert both_ns < 1.2 * alone_ns
 
 
 def test_a_question_left_in_flight_by_what_came_before_answers_nothing_here(kit):
-    bench = Bench([ask(1), ask(2)], echo, kit)
+    bench = TransactionBench([ask(1), ask(2)], echo, kit)
     bench.trackers["main"].send(Command(1, "QD"), 0)
     bench.dialogue.receive("main", Reply(1, "QD", 666), 1_000_000)
     assert bench.dialogue.answers == {}
@@ -136,7 +138,9 @@ def sure(servo_id, within=0, keyword="QD"):
 )
 def test_what_matters_is_believed_when_two_answers_agree(kit, values, within, believed):
     said = iter(values)
-    bench = Bench([sure(1, within)], lambda bus, data: [(10**6, Reply(1, "QD", next(said)))], kit)
+    bench = TransactionBench(
+        [sure(1, within)], lambda bus, data: [(10**6, Reply(1, "QD", next(said)))], kit
+    )
     bench.run()
     assert bench.dialogue.answers == {("main", 1, "QD"): believed}
     assert len(bench.sent) == len(values)
@@ -144,7 +148,9 @@ def test_what_matters_is_believed_when_two_answers_agree(kit, values, within, be
 
 def test_answers_that_never_agree_count_as_none(kit):
     wild = iter(range(0, 10_000, 100))
-    bench = Bench([sure(1, 20)], lambda bus, data: [(10**6, Reply(1, "QD", next(wild)))], kit)
+    bench = TransactionBench(
+        [sure(1, 20)], lambda bus, data: [(10**6, Reply(1, "QD", next(wild)))], kit
+    )
     bench.run()
     assert bench.dialogue.answers == {}
     assert len(bench.sent) == AGREE_TRIES
@@ -152,6 +158,6 @@ def test_answers_that_never_agree_count_as_none(kit):
 
 def test_a_servo_that_never_answered_does_not_get_the_other_queries(kit):
     items = [ask(1), ask(1, "QT"), ask(2), ask(1, "QV"), order(1, "EM", 1)]
-    bench = Bench(items, lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
+    bench = TransactionBench(items, lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
     bench.run()
     assert [data for _, _, data in bench.sent] == [b"#1QD\r"] * TRIES + [b"#2QD\r", b"#1EM1\r"]

@@ -14,7 +14,7 @@ BUSES = ("a", "b", "c")
 STEP_NS = 10_000_000
 
 
-class Port:
+class ScriptedPort:
     """Records written bytes, and fails at a given time."""
 
     def __init__(self, clock, *, arrivals=(), fails_at=None, error=None):
@@ -45,7 +45,7 @@ class Port:
         pass
 
 
-class Player:
+class ScriptedPlayer:
     """Sends a number on every bus every 10 ns, ten times."""
 
     def __init__(self):
@@ -75,7 +75,7 @@ class Player:
         return self.events.pop(0) if self.events else None
 
 
-class SlowPlayer(Player):
+class SlowPlayer(ScriptedPlayer):
     """Sends a number every 10 ms; each decision takes a given time."""
 
     def __init__(self, clock, takes_ns):
@@ -102,7 +102,7 @@ class SlowPlayer(Player):
         return None if self._sent_count >= 400 else self._sent_count * STEP_NS
 
 
-class Tap:
+class ListTap:
     def __init__(self):
         self.seen = []
 
@@ -126,11 +126,11 @@ class Tap:
 
 
 def ports_for(clock, **fields):
-    return {bus: Port(clock, **fields.get(bus, {})) for bus in BUSES}
+    return {bus: ScriptedPort(clock, **fields.get(bus, {})) for bus in BUSES}
 
 
 def test_bytes_are_written_and_arrivals_are_read_at_their_instants():
-    clock, player, tap, events = VirtualClock(), Player(), Tap(), []
+    clock, player, tap, events = VirtualClock(), ScriptedPlayer(), ListTap(), []
     ports = ports_for(clock, b={"arrivals": [(13, b"*1Q6\r"), (47, b"*2Q6\r")]})
     run(player, ports, clock, on_event=events.append, tap=tap)
     expected = [(10 * turn, b"%d" % (turn + 1)) for turn in range(10)]
@@ -144,7 +144,7 @@ def test_bytes_are_written_and_arrivals_are_read_at_their_instants():
     assert gc.isenabled()
 
 
-class PatientPlayer(Player):
+class PatientPlayer(ScriptedPlayer):
     """Lets answers of bus "b" wait, until instant 45 at the longest."""
 
     def reads_ns(self, bus):
@@ -155,7 +155,7 @@ class PatientPlayer(Player):
 
 
 def test_answers_that_may_wait_cost_no_turn_of_their_own():
-    clock, player, tap = VirtualClock(), PatientPlayer(), Tap()
+    clock, player, tap = VirtualClock(), PatientPlayer(), ListTap()
     arrivals = {"b": [(13, b"*1Q6\r"), (42, b"*2Q6\r"), (57, b"*3Q6\r")], "c": [(33, b"*4Q6\r")]}
     ports = ports_for(clock, **{bus: {"arrivals": own} for bus, own in arrivals.items()})
     run(player, ports, clock, tap=tap)
@@ -166,10 +166,10 @@ def test_answers_that_may_wait_cost_no_turn_of_their_own():
 
 
 def test_a_lost_port_leaves_the_others_in_the_safe_state():
-    clock, tap = VirtualClock(), Tap()
+    clock, tap = VirtualClock(), ListTap()
     ports = ports_for(clock, a={"fails_at": 50})
     with pytest.raises(BusError, match="lost port"):
-        run(Player(), ports, clock, tap=tap)
+        run(ScriptedPlayer(), ports, clock, tap=tap)
     assert ports["a"].written[-1] == (40, b"5")
     for bus in "bc":
         assert ports[bus].written[-1] == (50, b"#254H\r")
@@ -181,7 +181,7 @@ def test_a_port_that_raises_any_error_leaves_the_others_in_the_safe_state():
     clock = VirtualClock()
     ports = ports_for(clock, a={"fails_at": 50, "error": ValueError("closed")})
     with pytest.raises(ValueError, match="closed"):
-        run(Player(), ports, clock)
+        run(ScriptedPlayer(), ports, clock)
     assert [ports[bus].written[-1][1] for bus in "bc"] == [b"#254H\r"] * 2
 
 
@@ -194,7 +194,7 @@ def test_any_exception_of_an_observer_makes_every_bus_safe(error):
         raise error
 
     with pytest.raises(type(error)):
-        run(Player(), ports, clock, on_event=fail)
+        run(ScriptedPlayer(), ports, clock, on_event=fail)
     assert [port.written[-1][1] for port in ports.values()] == [b"#254H\r"] * 3
     assert gc.isenabled()
 
@@ -202,15 +202,15 @@ def test_any_exception_of_an_observer_makes_every_bus_safe(error):
 def test_controls_act_before_every_write():
     acts = []
 
-    class Controls:
+    class StoppingControls:
         def filenos(self):
             return []
 
         def act(self, player, now_ns):
             acts.append((now_ns, player._sent_count))
 
-    clock, player = VirtualClock(), Player()
-    run(player, ports_for(clock), clock, controls=Controls())
+    clock, player = VirtualClock(), ScriptedPlayer()
+    run(player, ports_for(clock), clock, controls=StoppingControls())
     assert acts == [(10 * turn, turn) for turn in range(10)]
 
 
@@ -221,7 +221,7 @@ def test_a_slow_decision_is_compensated(takes_ns, learnt_ns):
     """The loop passes the instant at which bytes leave, up to the longest decision it learns."""
     clock = VirtualClock()
     arrivals = [(at * STEP_NS - 50_000, b"!") for at in range(1, 400)]
-    port, player = Port(clock, arrivals=arrivals), SlowPlayer(clock, takes_ns)
+    port, player = ScriptedPort(clock, arrivals=arrivals), SlowPlayer(clock, takes_ns)
     run(player, {"a": port}, clock)
     assert player.leaves[0] == 0
     settled = list(zip(player.leaves, port.written, strict=True))[250:]

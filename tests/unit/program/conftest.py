@@ -72,7 +72,7 @@ def horn_error_deg(program, robot, trajectory, name, lag_s):
     return np.abs(joint.direction * (servo_deg - joint.zero_deg) - planned)
 
 
-class Kit:
+class ProgramKit:
     """Robots, shows and compiled programs for the tests of this folder."""
 
     joint = staticmethod(joint)
@@ -87,5 +87,5 @@ class Kit:
 
 
 @pytest.fixture
-def kit() -> type[Kit]:
-    return Kit
+def kit() -> type[ProgramKit]:
+    return ProgramKit

@@ -17,7 +17,7 @@ ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_
 QUIET = Physics(noise_deg=0.0)
 
 
-class Host:
+class SimHost:
     """Owns a bus and the time. `say` waits for nothing, `ask` for one reply or for 20 ms."""
 
     def __init__(self, *specs: ServoSpec, faults=(), seed=1, physics=QUIET, **line):
@@ -83,7 +83,7 @@ def servo(servo_id: int = 5, **fields) -> ServoSpec:
 
 @pytest.fixture(scope="session")
 def make_host():
-    return Host
+    return SimHost
 
 
 @pytest.fixture(scope="session")
@@ -92,5 +92,5 @@ def make_servo():
 
 
 @pytest.fixture
-def host() -> Host:
-    return Host()
+def host() -> SimHost:
+    return SimHost()

@@ -34,7 +34,7 @@ def ramp(seconds, rate_hz=RATE_HZ):
     return np.arange(round(seconds * rate_hz)) / rate_hz / 10.0
 
 
-class Desk:
+class MixerDesk:
     """A device that plays block after block; the first frame sounds at `START_NS`."""
 
     def __init__(self, *voices, ns_per_frame=NS_PER_FRAME):
@@ -82,7 +82,7 @@ class Desk:
 def test_a_sound_is_placed_again_where_the_device_has_skipped_frames(tmp_path):
     """Without that the show would follow by 300 ppm, for half a minute."""
     source = PrefetchedSound(wave_file(tmp_path, ramp(6.0)), RATE_HZ)
-    desk = Desk(Voice(number=1, source=source, at_s=0.0, is_bed=True))
+    desk = MixerDesk(Voice(number=1, source=source, at_s=0.0, is_bed=True))
     desk.leg(0.0)
     desk.play(2.0)
     mixer, frame = desk.mixer, len(desk.played)
@@ -104,7 +104,7 @@ def voice(path, at_s=0.0, **values):
 
 
 def test_the_first_frame_sounds_at_its_instant_with_its_full_strength(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, np.full(800, 0.7)), at_s=0.6))
+    desk = MixerDesk(voice(wave_file(tmp_path, np.full(800, 0.7)), at_s=0.6))
     desk.leg(0.25)  # The show begins at 0.25 s of the device.
     played = desk.play(1.2)
     first = int(np.nonzero(played)[0][0])
@@ -114,7 +114,7 @@ def test_the_first_frame_sounds_at_its_instant_with_its_full_strength(tmp_path):
 
 
 def test_a_pause_fades_and_goes_on_where_it_was_without_a_click(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, tone(10.0))))
+    desk = MixerDesk(voice(wave_file(tmp_path, tone(10.0))))
     desk.leg(0.2)
     desk.play(1.0)
     desk.leg(1.0, 1.0, 0.0, 0.3)
@@ -131,7 +131,7 @@ def test_a_pause_fades_and_goes_on_where_it_was_without_a_click(tmp_path):
 
 
 def test_a_rate_near_1_is_resampled_and_another_is_mute(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, ramp(9.0))))
+    desk = MixerDesk(voice(wave_file(tmp_path, ramp(9.0))))
     desk.leg(0.1)
     desk.play(1.0)
     desk.leg(1.0, 1.0, 0.97, 0.1)
@@ -148,7 +148,7 @@ def test_a_rate_near_1_is_resampled_and_another_is_mute(tmp_path):
 
 
 def test_a_show_that_starts_in_the_middle_fades_into_its_sounds(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, np.full(16000, 0.6))))
+    desk = MixerDesk(voice(wave_file(tmp_path, np.full(16000, 0.6))))
     desk.leg(0.0, 0.0, 1.0, 0.3, start_s=1.0)
     played = desk.play(1.0)
     assert np.abs(np.diff(played)).max() < 1.1 * 0.6 / (0.05 * RATE_HZ)
@@ -158,7 +158,7 @@ def test_a_show_that_starts_in_the_middle_fades_into_its_sounds(tmp_path):
 def test_a_bed_ends_with_its_pass_and_ducks_below_another_sound(tmp_path):
     flat = wave_file(tmp_path, np.full(80000, 0.4))
     short = wave_file(tmp_path, np.zeros(4000), name="b.wav")
-    desk = Desk(
+    desk = MixerDesk(
         voice(flat, is_bed=True, until_s=2.0),
         voice(short, at_s=1.0, duck_ratio=0.25, gain_ratio=1.0),
     )
@@ -173,7 +173,7 @@ def test_a_bed_ends_with_its_pass_and_ducks_below_another_sound(tmp_path):
 
 
 def test_a_looped_sound_has_no_seam(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, tone(0.5)), is_looped=True))
+    desk = MixerDesk(voice(wave_file(tmp_path, tone(0.5)), is_looped=True))
     desk.leg(0.0)
     played = desk.play(2.3)
     times_s = np.arange(len(played)) / RATE_HZ
@@ -182,7 +182,7 @@ def test_a_looped_sound_has_no_seam(tmp_path):
 
 
 def test_an_offset_makes_all_later_at_once(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, ramp(9.0))))
+    desk = MixerDesk(voice(wave_file(tmp_path, ramp(9.0))))
     desk.leg(0.0)
     desk.play(1.0)
     desk.mixer.set_offset(0.25)
@@ -192,7 +192,7 @@ def test_an_offset_makes_all_later_at_once(tmp_path):
 
 
 def test_a_file_of_another_rate_keeps_its_time_and_its_tone(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, tone(2.0, 44100, 440.0), 44100)))
+    desk = MixerDesk(voice(wave_file(tmp_path, tone(2.0, 44100, 440.0), 44100)))
     desk.leg(0.0)
     played = desk.play(1.9)
     times_s = np.arange(len(played)) / RATE_HZ
@@ -203,7 +203,7 @@ def test_a_file_of_another_rate_keeps_its_time_and_its_tone(tmp_path):
 
 def test_a_sound_that_does_not_lead_stays_with_the_show_on_a_device_that_is_off(tmp_path):
     off = NS_PER_FRAME / (1.0 + 200e-6)
-    desk = Desk(voice(wave_file(tmp_path, ramp(70.0))), ns_per_frame=off)
+    desk = MixerDesk(voice(wave_file(tmp_path, ramp(70.0))), ns_per_frame=off)
     desk.mixer.leads = False
     desk.leg(0.0)
     blocks = desk.play(9.0)
@@ -212,7 +212,7 @@ def test_a_sound_that_does_not_lead_stays_with_the_show_on_a_device_that_is_off(
 
 
 def test_what_is_muted_by_order_is_silent_within_the_fade(tmp_path):
-    desk = Desk(voice(wave_file(tmp_path, tone(9.0))))
+    desk = MixerDesk(voice(wave_file(tmp_path, tone(9.0))))
     desk.leg(0.0)
     desk.play(1.0)
     desk.mixer.is_muted = True
@@ -228,7 +228,7 @@ def test_a_device_that_is_off_and_its_show_are_within_2_ms_for_an_hour():
 
 def test_a_show_that_is_sent_back_forgets_its_voices_without_a_click(tmp_path):
     path = wave_file(tmp_path, ramp(9.0))
-    desk = Desk(voice(path))
+    desk = MixerDesk(voice(path))
     desk.leg(0.0)
     desk.play(3.0)
     desk.mixer.clear()
@@ -241,7 +241,7 @@ def test_a_show_that_is_sent_back_forgets_its_voices_without_a_click(tmp_path):
 
 
 def test_a_sound_that_comes_while_the_show_stops_waits_for_it(tmp_path):
-    desk = Desk()
+    desk = MixerDesk()
     desk.leg(0.0)
     desk.play(1.0)
     desk.leg(1.0, 0.0, 0.0)

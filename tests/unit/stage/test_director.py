@@ -48,7 +48,7 @@ def key(name, **other):
     )
 
 
-class Desk:
+class DirectorDesk:
     """A director with a player that obeys at once, and a clock."""
 
     def __init__(self, *cues, idle="idle", begins=True, seed=1, director=(), **stage):
@@ -218,17 +218,17 @@ SCRIPTS = {
 
 @titled(("cues", "text"), SCRIPTS)
 def test_a_stage_does(cues, text):
-    Desk(*cues).script(text)
+    DirectorDesk(*cues).script(text)
 
 
 def test_a_stage_that_waits_for_go_moves_nothing_before():
-    desk = Desk(key("x"), director={"waits_for_go": True}.items())
+    desk = DirectorDesk(key("x"), director={"waits_for_go": True}.items())
     desk.script("x x:the_figure_rests:_waits_for_GO = GO =idle")
     assert [play.show for play in desk.plays] == ["idle"]
 
 
 def test_an_interrupted_show_goes_on_where_it_was():
-    desk = Desk(key("x"), key("y", play="b", start="interrupt"))
+    desk = DirectorDesk(key("x"), key("y", play="b", start="interrupt"))
     desk.press("x", "y")
     assert desk.shown == ["b"]
     desk.finish("b")
@@ -242,7 +242,7 @@ def test_an_interrupted_show_goes_on_where_it_was():
 
 
 def test_a_button_that_bounces_is_pressed_once():
-    desk = Desk(key("x", start="restart"))
+    desk = DirectorDesk(key("x", start="restart"))
     for _ in range(5):
         desk.signal(Signal(kind=TriggerKind.KEY, address="x"))
     assert desk.refusal("x") == "it has fired just before"
@@ -250,7 +250,9 @@ def test_a_button_that_bounces_is_pressed_once():
 
 
 def test_cues_enable_and_disable_each_other():
-    desk = Desk(key("x", is_enabled=False), key("on", play=(), enables=("x",), disables=("on",)))
+    desk = DirectorDesk(
+        key("x", is_enabled=False), key("on", play=(), enables=("x",), disables=("on",))
+    )
     desk.press("x")
     assert desk.refusal("x") == "it is disabled"
     desk.press("on", "x")
@@ -262,7 +264,7 @@ def test_cues_enable_and_disable_each_other():
 
 
 def test_random_plays_each_show_once_before_any_again_and_none_twice_in_a_row():
-    desk = Desk(key("x", play=["a", "b", "sleep"], choice="random"), seed=4)
+    desk = DirectorDesk(key("x", play=["a", "b", "sleep"], choice="random"), seed=4)
     found = []
     for _ in range(60):
         desk.press("x")
@@ -276,7 +278,7 @@ def test_random_plays_each_show_once_before_any_again_and_none_twice_in_a_row():
 
 def test_the_end_of_a_show_is_a_trigger_before_the_idle_show():
     chain = StageCue(name="next", on=CueTrigger(kind=TriggerKind.END_OF, address="a"), shows=("b",))
-    desk = Desk(key("x"), chain)
+    desk = DirectorDesk(key("x"), chain)
     desk.press("x")
     desk.wait(5)
     desk.finish("a")
@@ -285,7 +287,7 @@ def test_the_end_of_a_show_is_a_trigger_before_the_idle_show():
 
 
 def test_a_show_that_cannot_be_played_is_refused_with_the_reason_of_the_player():
-    desk = Desk(key("x"), key("w", play="wink", start="add"))
+    desk = DirectorDesk(key("x"), key("w", play="wink", start="add"))
     desk.press("w")
     number = next(n for n, show in desk.playing.items() if show == "wink")
     del desk.playing[number]
@@ -303,7 +305,7 @@ def test_go_fires_its_cues_in_turn_is_debounced_and_can_be_armed():
         StageCue(name=n, on=CueTrigger(kind=TriggerKind.GO), shows=(n,), start="terminate")
         for n in "ab"
     ]
-    desk = Desk(*goes, key("y", play="sleep", start="terminate"))
+    desk = DirectorDesk(*goes, key("y", play="sleep", start="terminate"))
     for expected in ("a", "b", "a"):
         assert desk.director.next_go() == expected
         desk.signal(Signal(kind=TriggerKind.GO))
@@ -318,7 +320,7 @@ def test_go_fires_its_cues_in_turn_is_debounced_and_can_be_armed():
 
 
 def test_a_stage_begins_at_its_instant():
-    desk = Desk(key("x"), director={"start_at": NOON + timedelta(seconds=30)}.items())
+    desk = DirectorDesk(key("x"), director={"start_at": NOON + timedelta(seconds=30)}.items())
     desk.wait(29)
     assert desk.plays == []
     desk.wait(1)
@@ -327,7 +329,7 @@ def test_a_stage_begins_at_its_instant():
 
 def test_the_start_of_the_stage_is_a_trigger_once():
     first = StageCue(name="first", on=CueTrigger(kind=TriggerKind.START), shows=("a",))
-    desk = Desk(first)
+    desk = DirectorDesk(first)
     assert desk.shown == ["a"]
     desk.director.faulted(Cause.SILENT, "gone", desk.now_ns)
     desk.playing.clear()
@@ -347,7 +349,7 @@ def reading(value):
 
 def test_a_sensor_fires_once_when_two_readings_in_a_row_meet_its_condition():
     on = CueTrigger(kind=TriggerKind.SENSOR, address="door", side="below", threshold=800.0)
-    desk = Desk(StageCue(name="v", on=on, shows=("a",), start="terminate"))
+    desk = DirectorDesk(StageCue(name="v", on=on, shows=("a",), start="terminate"))
     counts = []
     for value in (900, 700, 900, 700, 700, 600, 900, 600, 600, 900, 900, 700, 700):
         desk.signal(reading(value))
@@ -361,7 +363,7 @@ def test_a_button_by_osc_fires_when_it_is_pressed_and_a_fader_when_it_passes():
         name="p", on=CueTrigger(kind=TriggerKind.OSC, address="/go"), shows=("a",), start="restart"
     )
     fader = replace(push, name="f", on=replace(push.on, address="/f", side="above", threshold=0.5))
-    desk = Desk(push, fader)
+    desk = DirectorDesk(push, fader)
     for address, value in [("/go", 1.0), ("/go", 0.0), ("/go", None), ("/f", 0.4), ("/f", 0.6)]:
         desk.signal(Signal(kind=TriggerKind.OSC, address=address, value=value))
         desk.wait(1)
@@ -377,7 +379,7 @@ def test_a_button_by_osc_fires_when_it_is_pressed_and_a_fader_when_it_passes():
 
 def test_after_work_the_figure_rests_when_its_show_has_ended_and_goes_limp():
     duty = DutyRule(work_s=60.0, rest_s=100.0, rest="sleep", is_limp=True)
-    desk = Desk(key("x"), duty=duty)
+    desk = DirectorDesk(key("x"), duty=duty)
     desk.wait(55)
     desk.press("x")
     desk.wait(10)
@@ -394,7 +396,7 @@ def test_after_work_the_figure_rests_when_its_show_has_ended_and_goes_limp():
 
 
 def test_a_hot_servo_slows_the_shows_then_ends_them_until_it_is_cool():
-    desk = Desk(key("x"), duty=DutyRule(temperature_c=Budget(slow=55, rest=65)))
+    desk = DirectorDesk(key("x"), duty=DutyRule(temperature_c=Budget(slow=55, rest=65)))
     desk.press("x")
     for celsius, rate in [(50, 1.0), (56, 0.5), (54, 0.5), (52, 1.0), (66, 0.5)]:
         desk.director.measured(celsius, None, desk.now_ns, "neck")
@@ -409,7 +411,7 @@ def test_a_hot_servo_slows_the_shows_then_ends_them_until_it_is_cool():
 
 
 def test_a_peak_of_current_is_no_reason_to_rest_but_a_minute_of_it_is():
-    desk = Desk(duty=DutyRule(current_a=Budget(slow=2.0, rest=3.0)))
+    desk = DirectorDesk(duty=DutyRule(current_a=Budget(slow=2.0, rest=3.0)))
     for second in range(120):
         desk.director.measured(None, 20.0 if second == 5 else 1.0, desk.now_ns)
         desk.wait(1)
@@ -422,7 +424,7 @@ def test_a_peak_of_current_is_no_reason_to_rest_but_a_minute_of_it_is():
 
 def test_quiet_hours_begin_after_the_show_and_end():
     quiet = DutyRule(quiet=((NOON.time(), (NOON + timedelta(hours=1)).time()),), rest="sleep")
-    desk = Desk(key("x"), duty=quiet)
+    desk = DirectorDesk(key("x"), duty=quiet)
     assert desk.shown == ["sleep"]
     desk.press("x")
     assert desk.refusal("x") == "the figure rests: quiet hours"
@@ -433,7 +435,7 @@ def test_quiet_hours_begin_after_the_show_and_end():
 
 
 def test_an_operator_stops_all_sends_to_rest_and_wakes():
-    desk = Desk(key("x"), key("q", play="b", start="queue"), duty=DutyRule(rest="sleep"))
+    desk = DirectorDesk(key("x"), key("q", play="b", start="queue"), duty=DutyRule(rest="sleep"))
     desk.press("x", "q")
     desk.director.do("stop", desk.now_ns)
     desk.obey()
@@ -453,7 +455,7 @@ def test_an_operator_stops_all_sends_to_rest_and_wakes():
 
 
 def test_after_a_fault_the_stage_begins_again_a_bounded_number_of_times():
-    desk = Desk(key("x"), retry=Retry(attempts={Cause.SILENT: 3}, wait_s=10.0))
+    desk = DirectorDesk(key("x"), retry=Retry(attempts={Cause.SILENT: 3}, wait_s=10.0))
     waits = []
     for _ in range(3):
         desk.press("x")
@@ -483,7 +485,7 @@ def test_after_a_fault_the_stage_begins_again_a_bounded_number_of_times():
 
 
 def test_a_fault_that_does_not_come_back_by_itself_is_not_tried_again():
-    desk = Desk(retry=Retry())
+    desk = DirectorDesk(retry=Retry())
     desk.director.faulted(Cause.BLOCKED, "joint 'jaw' is blocked", desk.now_ns)
     desk.wait(3600, step_s=60)
     assert [one.fields["alert"] for one in desk.others] == ["given_up"]
@@ -491,7 +493,7 @@ def test_a_fault_that_does_not_come_back_by_itself_is_not_tried_again():
 
 def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
     attempts = dict.fromkeys(Cause, 3)
-    desk = Desk(retry=Retry(attempts=attempts, total=2, within_s=600.0, wait_s=1.0))
+    desk = DirectorDesk(retry=Retry(attempts=attempts, total=2, within_s=600.0, wait_s=1.0))
 
     def fault(cause):
         desk.director.faulted(cause, "fault", desk.now_ns)
@@ -510,7 +512,7 @@ def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
 
 
 def test_readings_that_come_all_the_time_do_not_put_off_the_clock():
-    desk = Desk(duty=DutyRule(work_s=10.0, rest_s=100.0))
+    desk = DirectorDesk(duty=DutyRule(work_s=10.0, rest_s=100.0))
     for _ in range(150):
         desk.now_ns += NS_PER_S // 10
         desk.signal(reading(900))
@@ -529,7 +531,7 @@ def timed(name, at_s, show):
 
 
 def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after_a_jump():
-    desk = Desk(timed("one", 100.0, "a"), timed("two", 200.0, "b"))
+    desk = DirectorDesk(timed("one", 100.0, "a"), timed("two", 200.0, "b"))
 
     def run(from_s, to_s, rate=1.0):
         for step in range(round(abs(to_s - from_s)) + 1):
@@ -552,7 +554,7 @@ def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after
 
 
 def test_between_two_positions_the_timecode_goes_on_at_its_rate():
-    desk = Desk(timed("one", 101.5, "a"))
+    desk = DirectorDesk(timed("one", 101.5, "a"))
     desk.director.take_timecode(100.0, 1.0, desk.now_ns)
     desk.wait(1.4, step_s=0.1)
     assert desk.shown == ["idle"]
@@ -577,7 +579,7 @@ def ready(desk, within_s=5.0):
 
 
 def test_a_show_that_follows_waits_at_its_beginning_and_fires_when_the_timecode_is_there():
-    desk = Desk(replace(timed("one", 100.0, "a"), cooldown_s=600.0), key("x", play="b"))
+    desk = DirectorDesk(replace(timed("one", 100.0, "a"), cooldown_s=600.0), key("x", play="b"))
     running(desk, 90, 98)
     (waiting,) = [play for play in desk.plays if play.show == "a"]
     assert (waiting.waits, waiting.follows_s, waiting.start_s) == (True, 100.0, None)
@@ -595,7 +597,7 @@ def test_a_show_that_follows_waits_at_its_beginning_and_fires_when_the_timecode_
 
 
 def test_what_plays_is_not_left_early_for_a_show_that_follows():
-    desk = Desk(timed("one", 100.0, "a"), key("x", play="b"))
+    desk = DirectorDesk(timed("one", 100.0, "a"), key("x", play="b"))
     running(desk, 90, 92)
     desk.press("x")
     running(desk, 93, 98)
@@ -607,7 +609,7 @@ def test_what_plays_is_not_left_early_for_a_show_that_follows():
 
 def test_without_timecode_the_cue_that_is_ready_or_armed_waits_and_others_may_play():
     cues = replace(timed("one", 100.0, "a"), is_ready=True), timed("two", 200.0, "b")
-    desk = Desk(*cues, key("x", play="sleep"))
+    desk = DirectorDesk(*cues, key("x", play="sleep"))
     ready(desk)
     assert desk.shown == ["a"]
     number = desk.plays[-1].number
@@ -628,7 +630,7 @@ def test_without_timecode_the_cue_that_is_ready_or_armed_waits_and_others_may_pl
 
 
 def test_a_show_that_waits_is_begun_anew_with_newer_files():
-    desk = Desk(replace(timed("one", 100.0, "a"), is_ready=True), key("x", play="b"))
+    desk = DirectorDesk(replace(timed("one", 100.0, "a"), is_ready=True), key("x", play="b"))
     ready(desk)
     assert desk.director.is_free
     newer = replace(desk.stage, cues=(replace(timed("one", 90.0, "b"), is_ready=True),))
@@ -646,7 +648,7 @@ def test_a_show_that_waits_is_begun_anew_with_newer_files():
 
 def test_timecode_of_another_show_ends_the_wait_and_starts_that_one():
     cues = replace(timed("one", 100.0, "a"), is_ready=True), timed("two", 90.0, "b")
-    desk = Desk(*(replace(cue, start="only_if_idle") for cue in cues))
+    desk = DirectorDesk(*(replace(cue, start="only_if_idle") for cue in cues))
     ready(desk)
     desk.director.take_timecode(92.0, 1.0, desk.now_ns)
     desk.obey()
@@ -664,7 +666,7 @@ def test_the_clock_may_be_set_in_mid_show_and_no_cue_fires_twice():
         shows=("b",),
         start="add",
     )
-    desk = Desk(every, key("x"))
+    desk = DirectorDesk(every, key("x"))
     desk.press("x")
     desk.wait(700)
     desk.wall -= timedelta(seconds=400)

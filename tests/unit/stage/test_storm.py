@@ -138,7 +138,7 @@ class Model:
         self.is_idle = not self.stack and (self.is_idle or not self.beside)
 
 
-class Desk:
+class StormDesk:
     """Obeys the director, and keeps what plays."""
 
     def __init__(self, stage, seed=0):
@@ -210,7 +210,7 @@ def test_the_start_modes_do_what_a_model_of_them_does(made, acts):
         )
         for number, (start, show, priority, cooldown_s) in enumerate(made)
     ]
-    desk, model = Desk(stage_of(cues)), Model(cues)
+    desk, model = StormDesk(stage_of(cues)), Model(cues)
     for act, number in acts:
         now_s = desk.now_ns / NS_PER_S
         if act == "wait":
@@ -264,7 +264,7 @@ def test_in_any_storm_joints_have_one_show_rests_are_kept_and_every_trigger_is_e
         temperature_c=Budget(slow=50, rest=60),
         quiet=((time(13), time(14)),),
     )
-    desk = Desk(stage_of(cues, duty=duty))
+    desk = StormDesk(stage_of(cues, duty=duty))
 
     def check(play):
         assert desk.director.is_connected

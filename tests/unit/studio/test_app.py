@@ -25,7 +25,7 @@ TOKEN = new_token()
 PLAN = "0123456789abcdef"
 
 
-class Desk:
+class DeskStub:
     def __init__(self):
         self.stops = []
 
@@ -53,7 +53,7 @@ def studio(tmp_path):
     studio = object.__new__(Studio)
     studio.addresses, studio.stop_addresses = [OWN], [STOP]
     studio.door = Door(frozenset({OWN.name}), frozenset({OWN.origin}), TOKEN, "lss_studio_8000")
-    studio.pairing, studio.desk = Pairing(), Desk()
+    studio.pairing, studio.desk = Pairing(), DeskStub()
     studio.hub = Hub(studio._welcome)
     studio.hub.desk = studio.desk
     path = tmp_path / "show" / "wave.yaml"

@@ -34,15 +34,15 @@ class Stops:
         self.latch = None
 
 
-class Player:
+class PlayerStub:
     """Stands for the process that plays; the test says what it sends."""
 
-    all: ClassVar[list[Player]] = []
+    all: ClassVar[list[PlayerStub]] = []
 
     def __init__(self, job, stops, *, on_event, on_telemetry, on_end, on_lost, options):
         self.job, self.options, self.on_lost = job, options, on_lost
         self.on_event, self.on_end, self.sent = on_event, on_end, []
-        Player.all.append(self)
+        PlayerStub.all.append(self)
 
     def send(self, operation):
         self.sent.append(operation)
@@ -56,11 +56,11 @@ class Player:
         self.on_end(self)
 
 
-class Stage:
+class DeskStage:
     """A desk with its hub, its file and one client that operates."""
 
     def __init__(self, folder, **options):
-        Player.all = []
+        PlayerStub.all = []
         self.hub = Hub(lambda client: m.Links(clients=0))
         self.stops = Stops()
         self.desk = Desk(self.hub, self.stops, DeskOptions(**options))
@@ -104,8 +104,8 @@ class Stage:
 
 @pytest.fixture
 def stage(tmp_path, monkeypatch):
-    monkeypatch.setattr(desks, "PlayerProcess", Player)
-    return Stage(tmp_path)
+    monkeypatch.setattr(desks, "PlayerProcess", PlayerStub)
+    return DeskStage(tmp_path)
 
 
 def test_a_show_is_played_once_it_is_planned(stage):
@@ -118,7 +118,7 @@ def test_a_show_is_played_once_it_is_planned(stage):
     assert "has changed" in stage.ask("play", plan="f" * 16)
     assert stage.ask("pause") == "no show plays now"
     assert stage.ask("play", plan=PLAN, from_s=2.5) == "accepted"
-    (player,) = Player.all
+    (player,) = PlayerStub.all
     assert (player.job, player.options["start_s"]) == (b"show", 2.5)
     assert not player.options["must_ask"]
     assert stage.last("player")["state"] == "starting"
@@ -144,11 +144,11 @@ def test_a_show_is_played_once_it_is_planned(stage):
 def test_a_real_robot_waits_for_go_and_a_player_that_is_gone_is_said(stage):
     stage.plan(is_simulated=False)
     stage.ask("play")
-    assert Player.all[0].options["must_ask"]
-    Player.all[0].tell("phase", phase="ready")
+    assert PlayerStub.all[0].options["must_ask"]
+    PlayerStub.all[0].tell("phase", phase="ready")
     assert stage.last("player")["state"] == "ready"
-    Player.all[0].tell("ended", outcome="lost", error="gone", report=None)
-    Player.all[0].on_end(Player.all[0])
+    PlayerStub.all[0].tell("ended", outcome="lost", error="gone", report=None)
+    PlayerStub.all[0].on_end(PlayerStub.all[0])
     assert stage.last("player")["state"] == "gone"
 
 
@@ -156,11 +156,11 @@ def test_a_stop_is_kept_until_it_is_armed_again(stage):
     stage.plan()
     stage.ask("play")
     assert stage.ask("estop") == "accepted"
-    assert isinstance(Player.all[0].sent[-1], m.Estop)
+    assert isinstance(PlayerStub.all[0].sent[-1], m.Estop)
     assert stage.stops.done == ["estop"]
     assert stage.last("player")["latch"] == "estop"
     assert "wait until it has ended" in stage.ask("rearm")
-    Player.all[0].end("stopped")
+    PlayerStub.all[0].end("stopped")
     assert stage.last("player")["latch"] == "estop", "which it was"
     for op in ("play", "connect", "scan"):
         assert "rearm" in stage.ask(op)
@@ -175,7 +175,7 @@ def test_a_stop_is_kept_until_it_is_armed_again(stage):
 def test_a_connected_robot_is_given_up_for_the_show_unless_that_is_stopped(stage):
     stage.plan()
     assert stage.ask("connect") == "accepted"
-    live = Player.all[0]
+    live = PlayerStub.all[0]
     assert (live.job, stage.robot["state"]) == (b"live", "connecting")
     live.tell("robot", state="live")
     assert stage.robot["state"] == "live"
@@ -184,15 +184,15 @@ def test_a_connected_robot_is_given_up_for_the_show_unless_that_is_stopped(stage
     waiting = stage.next_id
     live.end("stopped")
     assert stage.answer(waiting) == "accepted"
-    assert Player.all[1].job == b"show"
-    Player.all[1].end()
+    assert PlayerStub.all[1].job == b"show"
+    PlayerStub.all[1].end()
     stage.ask("connect")
     assert stage.ask("play") is None
     waiting = stage.next_id
     stage.ask("stop")
-    Player.all[2].end("stopped", error="no port")
+    PlayerStub.all[2].end("stopped", error="no port")
     assert "has ended" in stage.answer(waiting)
-    assert len(Player.all) == 3
+    assert len(PlayerStub.all) == 3
     assert stage.robot["text"] == "no port"
 
 
@@ -203,9 +203,9 @@ def test_the_end_of_the_server_is_not_forgotten_over_a_stop(stage):
     assert freed == [1]
     stage.ask("play")
     stage.desk.close(lambda: freed.append(2))
-    assert isinstance(Player.all[0].sent[-1], m.Stop)
+    assert isinstance(PlayerStub.all[0].sent[-1], m.Stop)
     stage.desk.stop(is_emergency=True)
-    Player.all[0].end("stopped")
+    PlayerStub.all[0].end("stopped")
     assert freed == [1, 2]
 
 
@@ -213,18 +213,18 @@ def test_the_end_of_the_server_is_not_forgotten_over_a_stop(stage):
 def test_a_lost_operator_is_the_rule_for_a_show_and_holds_a_robot(
     tmp_path, monkeypatch, rule, sent
 ):
-    monkeypatch.setattr(desks, "PlayerProcess", Player)
-    stage = Stage(tmp_path, on_lost=rule)
+    monkeypatch.setattr(desks, "PlayerProcess", PlayerStub)
+    stage = DeskStage(tmp_path, on_lost=rule)
     stage.desk.operator_lost()
     stage.plan()
     stage.ask("play")
-    assert Player.all[0].on_lost == rule
+    assert PlayerStub.all[0].on_lost == rule
     stage.desk.operator_lost()
-    assert [one.op for one in Player.all[0].sent] == ([] if sent is None else [sent])
-    Player.all[0].end()
+    assert [one.op for one in PlayerStub.all[0].sent] == ([] if sent is None else [sent])
+    PlayerStub.all[0].end()
     stage.ask("connect")
     stage.desk.operator_lost()
-    assert [one.op for one in Player.all[1].sent] == ["stop"]
+    assert [one.op for one in PlayerStub.all[1].sent] == ["stop"]
 
 
 def test_a_pose_is_not_written_into_a_file_that_has_changed(stage, tmp_path):

@@ -113,7 +113,7 @@ def test_functions_of_a_show_are_named_and_none_is_called(folder):
 # ---- the document
 
 
-class Asked(list):
+class AskedPlans(list):
     """The requests that a document made; `told` counts what clients were told."""
 
     told = 0
@@ -124,7 +124,7 @@ class Asked(list):
 
 @pytest.fixture
 def asked():
-    return Asked()
+    return AskedPlans()
 
 
 def test_a_change_on_disk_is_planned_again_and_the_last_good_plan_stays(folder, asked):

@@ -71,7 +71,7 @@ def test_the_end_of_the_other_end_is_noticed_after_its_last_message(ends):
     assert not client.send(Kind.OPERATION, b"x")
 
 
-class Measured(Struct, frozen=True, tag=True):
+class MeasuredValue(Struct, frozen=True, tag=True):
     angle_deg: float
     values: dict[str, Any]
 
@@ -80,9 +80,9 @@ def test_numbers_of_numpy_are_sent_as_what_they_are():
     own, other = socket.socketpair()
     with own, other:
         values = {"count": np.int64(3), "is_on": np.bool_(True), "name": np.str_("elbow")}
-        TypedPipe(MessagePipe(own)).send(Measured(np.float64(1.5), values))
-        got = TypedPipe(MessagePipe(other), Measured).receive()
-    assert got == [Measured(1.5, {"count": 3, "is_on": True, "name": "elbow"})]
+        TypedPipe(MessagePipe(own)).send(MeasuredValue(np.float64(1.5), values))
+        got = TypedPipe(MessagePipe(other), MeasuredValue).receive()
+    assert got == [MeasuredValue(1.5, {"count": 3, "is_on": True, "name": "elbow"})]
 
 
 @pytest.mark.parametrize("data", [b"?\x00\x00\x00\x00", b"e\xff\xff\xff\xff"])

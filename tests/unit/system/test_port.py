@@ -17,7 +17,7 @@ BPS = 115200
 S = 1_000_000_000
 
 
-class Device:
+class PtyDevice:
     """Takes at most `room` bytes at once; they stay in it until `leave`."""
 
     def __init__(self, room=1 << 20):
@@ -83,7 +83,7 @@ def test_closing_twice_is_no_error(network_port):
 
 
 def test_bytes_without_room_are_held_and_leave_in_order():
-    device = Device(room=3)
+    device = PtyDevice(room=3)
     device.outbox.write(b"#1D10", 0)
     device.outbox.write(b"T5\r", 1)
     assert (device.taken, device.outbox.held_bytes) == (b"#1D10T", 2)
@@ -95,7 +95,7 @@ def test_bytes_without_room_are_held_and_leave_in_order():
 @pytest.mark.parametrize("room", [0, 1 << 20])
 def test_a_port_from_which_no_byte_leaves_is_lost_after_a_bounded_time(room):
     """Whether the bytes stay in this program or in the buffer of the system."""
-    device = Device(room=room)
+    device = PtyDevice(room=room)
     device.outbox.write(b"#1QD\r", 0)
     bound_ns = BLOCKED_NS + line_time_ns(5, BPS)
     device.outbox.flush(bound_ns - 50_000_000)
@@ -105,7 +105,7 @@ def test_a_port_from_which_no_byte_leaves_is_lost_after_a_bounded_time(room):
 
 
 def test_a_slow_port_is_not_lost():
-    device = Device(room=0)
+    device = PtyDevice(room=0)
     for second in range(20):
         device.outbox.write(b"0123456789", second * S)
         device.room = 1
@@ -116,7 +116,7 @@ def test_a_slow_port_is_not_lost():
 
 
 def test_a_driver_that_always_reports_some_bytes_is_not_blocked():
-    device = Device()
+    device = PtyDevice()
     for second in range(20):
         device.outbox.write(b"0123456789", 3 * second * S)
         device.outbox.flush(3 * second * S + S // 2)
@@ -125,7 +125,7 @@ def test_a_driver_that_always_reports_some_bytes_is_not_blocked():
 
 
 def test_a_driver_that_stops_after_it_worked_is_blocked():
-    device = Device()
+    device = PtyDevice()
     for tenth in range(20):
         device.outbox.write(b"0123456789", tenth * S // 10)
         device.leave(device.waiting)
@@ -136,7 +136,7 @@ def test_a_driver_that_stops_after_it_worked_is_blocked():
 
 
 def test_what_is_held_is_bounded():
-    device = Device(room=0)
+    device = PtyDevice(room=0)
     device.outbox.write(bytes(HELD_MAX_BYTES), 0)
     with pytest.raises(BlockedPortError):
         device.outbox.write(b"#", 0)

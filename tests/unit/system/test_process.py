@@ -16,15 +16,15 @@ from lss_motion.system.process import ChildProcess
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills processes by signals")
 
 
-class Asked(Struct, frozen=True, tag=True):
+class EchoAsked(Struct, frozen=True, tag=True):
     text: str
 
 
-class Slept(Struct, frozen=True, tag=True):
+class EchoSlept(Struct, frozen=True, tag=True):
     pass
 
 
-class Answered(Struct, frozen=True, tag=True):
+class EchoAnswered(Struct, frozen=True, tag=True):
     text: str
     at_s: float = float("inf")
 
@@ -37,7 +37,7 @@ def echo(tmp_path, monkeypatch):
     started = []
 
     def start(*words, **options):
-        child = ChildProcess("echoing", *words, receives=Answered, **options)
+        child = ChildProcess("echoing", *words, receives=EchoAnswered, **options)
         started.append(child)
         return child
 
@@ -52,45 +52,45 @@ from msgspec import Struct
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import serve
 
-class Asked(Struct, frozen=True, tag=True):
+class EchoAsked(Struct, frozen=True, tag=True):
     text: str
-class Slept(Struct, frozen=True, tag=True):
+class EchoSlept(Struct, frozen=True, tag=True):
     pass
-class Answered(Struct, frozen=True, tag=True):
+class EchoAnswered(Struct, frozen=True, tag=True):
     text: str
     at_s: float = float("inf")
 
 def main(pipe, *words):
-    typed = TypedPipe(pipe, Asked | Slept)
+    typed = TypedPipe(pipe, EchoAsked | EchoSlept)
     def obey(message):
-        if isinstance(message, Slept):
+        if isinstance(message, EchoSlept):
             time.sleep(100.0)
         if message.text == "print":
             print("printed", flush=True)
-        typed.send(Answered(message.text + "".join(words)))
+        typed.send(EchoAnswered(message.text + "".join(words)))
     serve(typed, obey)
-    typed.send(Answered("bye"))
+    typed.send(EchoAnswered("bye"))
     return 7
 """
 
 
 def test_messages_go_both_ways_and_the_last_ones_come_at_the_end(echo):
     child = echo("!")
-    child.send(Asked("hello"))
-    assert child.receive_within(20.0) == [Answered("hello!")], "infinity stays infinite"
-    child.send(Asked("again"))
+    child.send(EchoAsked("hello"))
+    assert child.receive_within(20.0) == [EchoAnswered("hello!")], "infinity stays infinite"
+    child.send(EchoAsked("again"))
     found = []
     assert child.end(20.0, found.append) == 7
-    assert found == [Answered("again!"), Answered("bye")]
+    assert found == [EchoAnswered("again!"), EchoAnswered("bye")]
     assert child.end(20.0) == 7, "another end changes nothing"
-    assert not child.send(Asked("late"))
+    assert not child.send(EchoAsked("late"))
 
 
 def test_what_is_kept_for_a_slow_process_arrives_before_its_end(echo):
     child = echo(outbox_max_bytes=1 << 22)
     count = 3000
     for _ in range(count):
-        assert child.send(Asked("x" * 1000))
+        assert child.send(EchoAsked("x" * 1000))
     assert child.pipe.is_full
     found = []
     assert child.end(60.0, found.append) == 7
@@ -99,7 +99,7 @@ def test_what_is_kept_for_a_slow_process_arrives_before_its_end(echo):
 
 def test_a_process_that_hangs_is_killed_in_bounded_time(echo):
     child = echo()
-    child.send(Slept())
+    child.send(EchoSlept())
     began_s = time.monotonic()
     assert child.end(0.5) is None
     assert time.monotonic() - began_s < 5.0
@@ -112,33 +112,33 @@ def test_the_death_of_the_process_is_noticed_and_raises_nothing(echo):
     os.kill(child.pid, signal.SIGKILL)
     assert child.receive_within(20.0) == []
     assert child.has_ended
-    assert not child.send(Asked("x")) or not child.send(Asked("y"))
+    assert not child.send(EchoAsked("x")) or not child.send(EchoAsked("y"))
     assert child.end(5.0) == -signal.SIGKILL
 
 
 def test_signals_that_end_a_program_do_not_end_its_helper(echo):
     child = echo()
-    child.send(Asked("a"))
+    child.send(EchoAsked("a"))
     child.receive_within(20.0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(child.pid, number)
-    child.send(Asked("b"))
-    assert child.receive_within(20.0) == [Answered("b")]
+    child.send(EchoAsked("b"))
+    assert child.receive_within(20.0) == [EchoAnswered("b")]
     assert os.getsid(child.pid) == child.pid, "Ctrl-C does not reach it at all"
 
 
 def test_what_a_quiet_process_prints_is_no_message_and_not_seen(echo, capfd):
     child = echo(is_quiet=True)
-    child.send(Asked("print"))
-    assert child.receive_within(20.0) == [Answered("print")]
+    child.send(EchoAsked("print"))
+    assert child.receive_within(20.0) == [EchoAnswered("print")]
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_message_of_another_type_is_dropped(echo):
     child = echo()
-    child.send(Answered("not asked"))
-    child.send(Asked("asked"))
-    assert child.receive_within(20.0) == [Answered("asked")]
+    child.send(EchoAnswered("not asked"))
+    child.send(EchoAsked("asked"))
+    assert child.receive_within(20.0) == [EchoAnswered("asked")]
 
 
 def test_a_process_ends_when_its_program_is_killed(tmp_path, echo):

@@ -39,7 +39,7 @@ def test_notes_and_programs_are_triggers(message, found):
     assert found == (trigger and (trigger.kind, trigger.address, trigger.value, trigger.channel))
 
 
-class Inputs:
+class MidiInputs:
     """A MIDI system whose devices come and go."""
 
     def __init__(self):
@@ -70,7 +70,7 @@ def test_a_device_that_vanishes_is_said_and_opened_again(monkeypatch):
     said, done = [], []
 
     async def run():
-        system = Inputs()
+        system = MidiInputs()
         sink = lambda *found: done.append(found)  # noqa: E731
         port = MidiPort("pad", gate(said), sink, said.append, system=system)
         for names in (("Through",), ("Through", "pad 20:0"), ("Through",), ("pad 24:0",)):

@@ -159,7 +159,7 @@ def test_who_subscribes_gets_angles_for_a_minute_at_its_rate():
     assert sum(added) == SUBSCRIBERS_MAX - 1
 
 
-class Client(asyncio.DatagramProtocol):
+class OscClient(asyncio.DatagramProtocol):
     """Another program with a UDP socket."""
 
     def __init__(self):
@@ -186,9 +186,9 @@ def test_a_port_carries_out_at_the_time_of_a_bundle_and_answers_its_sender():
             state=lambda: {"state": "plays", "show_s": 1.5},
         )
         await port.open(("127.0.0.1", 0))
-        _, client = await loop.create_datagram_endpoint(Client, remote_addr=port.place)
+        _, client = await loop.create_datagram_endpoint(OscClient, remote_addr=port.place)
         _, stranger = await loop.create_datagram_endpoint(
-            Client, local_addr=("127.0.0.2", 0), remote_addr=port.place
+            OscClient, local_addr=("127.0.0.2", 0), remote_addr=port.place
         )
         stranger.transport.sendto(built("/lss/estop").dgram)
         begun_s, at_s = loop.time(), datetime.now(UTC).timestamp() + 0.2
