@@ -5,7 +5,17 @@ from __future__ import annotations
 import threading
 from contextlib import contextmanager
 
+from lss_motion.sim.bus import SimBus
+from lss_motion.sim.physics import Physics
 from lss_motion.sim.pty import serve_buses
+
+
+def recording_bus(*specs, baud_bps=115200, physics=None, faults=()):
+    """Return a simulated bus with these servos, without noise, that keeps what it receives."""
+    physics = physics or Physics(noise_deg=0.0)
+    bus = SimBus(specs, baud_bps=baud_bps, firmware=370, physics=physics, faults=faults)
+    bus.record()
+    return bus
 
 
 class ServedBus:

@@ -11,11 +11,9 @@ import cdp
 import pytest
 from running_studio import running
 
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import ServoModel
-from lss_motion.sim.bus import SimBus
-from lss_motion.sim.physics import Physics, ServoSpec
-from tests.served_bus import served_bus
+from lss_motion.robot.servo_models import SERVO_MODELS
+from lss_motion.sim.physics import ServoSpec
+from tests.served_bus import recording_bus, served_bus
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 NO_WEBGL = """
@@ -73,7 +71,6 @@ def wave(tmp_path_factory):
         yield studio
 
 
-ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
 ROBOT = """\
 robot: two
 buses:
@@ -95,13 +92,8 @@ SHOW = {
 @pytest.fixture
 def two(tmp_path):
     """A show of 20 s on two simulated servos behind a port; gives the bus, which records."""
-    bus = SimBus(
-        [ServoSpec(servo_id=number, model=ST1) for number in (1, 2)],
-        baud_bps=115200,
-        firmware=370,
-        physics=Physics(noise_deg=0.0),
-    )
-    bus.record()
+    st1 = SERVO_MODELS["LSS-ST1"]
+    bus = recording_bus(*(ServoSpec(servo_id=number, model=st1) for number in (1, 2)))
     port = tmp_path / "port"
     (tmp_path / "two.yaml").write_text(ROBOT.replace("PORT", str(port)), encoding="utf-8")
     (tmp_path / "show.yaml").write_text(json.dumps(SHOW), encoding="utf-8")

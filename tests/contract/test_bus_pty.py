@@ -14,9 +14,9 @@ import pytest
 import serial
 
 from lss_motion.errors import InputError
-from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss import LSS_TABLE
-from lss_motion.robot.model import Bus, Robot, ServoModel
+from lss_motion.robot.model import Bus, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.pty import serve
 from tests.joints import joint
@@ -24,7 +24,7 @@ from tests.programs import ProgramBeside
 
 pytestmark = pytest.mark.realtime
 
-ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+ST1 = SERVO_MODELS["LSS-ST1"]
 
 
 def make_robot(servo_ids=(5,), bus_names=("main",), baud_bps=115200) -> Robot:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import BusError
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import Bus, Robot, ServoModel
+from lss_motion.robot.model import Bus, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimPort, bus_from_robot
 from lss_motion.system.clock import MonotonicClock, VirtualClock
 from lss_motion.system.port import SerialPort
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lss_motion.system.clock import Clock
     from lss_motion.system.port import Port
 
-ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+ST1 = SERVO_MODELS["LSS-ST1"]
 ROBOT = Robot(
     name="two",
     path=None,

@@ -15,13 +15,14 @@ from lss_motion.errors import PlanningError
 from lss_motion.planning.trajectory.curves import peaks
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import verify
-from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
+from lss_motion.robot.model import Bus, Joint, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.show.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
 
 if TYPE_CHECKING:
     from lss_motion.planning.trajectory.model import Trajectory
 
-MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+MODEL = SERVO_MODELS["LSS-ST1"]
 RANGE_DEG = 3600.0
 LEGAL_RATIO = 1.00005
 SIZES_DEG = (0.01, 1.0, 30.0, 170.0, 700.0)

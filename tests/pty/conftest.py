@@ -6,27 +6,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from msgspec.structs import replace
 
 from lss_motion.cli.main import main
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import ServoModel
-from lss_motion.sim.bus import SimBus
-from lss_motion.sim.physics import Physics, ServoSpec
-from tests.served_bus import served_bus
-
-ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
-FAMILIES = {
-    "LSS-ST1": ST1,
-    "LSS-P-S1": replace(ST1, name="LSS-P-S1", family=Family.LSS_PRO, wire_per_deg=100),
-    "LSS-2IO": replace(ST1, name="LSS-2IO", family=Family.IO2),
-}
+from lss_motion.robot.servo_models import SERVO_MODELS
+from lss_motion.sim.physics import ServoSpec
+from tests.served_bus import recording_bus, served_bus
 
 
 @pytest.fixture
 def servo():
     def make(servo_id, model="LSS-ST1", **options):
-        return ServoSpec(servo_id=servo_id, model=FAMILIES[model], **options)
+        return ServoSpec(servo_id=servo_id, model=SERVO_MODELS[model], **options)
 
     return make
 
@@ -38,14 +28,7 @@ def on_terminal(tmp_path, monkeypatch):
 
     @contextmanager
     def serve(*servos, faults=(), baud_bps=115200, physics=None):
-        bus = SimBus(
-            servos,
-            baud_bps=baud_bps,
-            firmware=370,
-            physics=physics or Physics(noise_deg=0.0),
-            faults=faults,
-        )
-        bus.record()
+        bus = recording_bus(*servos, faults=faults, baud_bps=baud_bps, physics=physics)
         with served_bus(bus, Path("port")):
             yield bus
 

@@ -291,7 +291,7 @@ def test_strangers_of_the_network_leave_a_stop_what_it_needs(studio, tmp_path, m
     with contextlib.ExitStack() as stack:
         for pid in (server.pid, children(server.pid)["stop"]):
             resource.prlimit(pid, resource.RLIMIT_NOFILE, (128, 128))
-        browser = Browser(told)
+        browser = SocketBrowser(told)
         for origin in (told["stop"], told["addresses"][0]):
             where = (urlsplit(origin).hostname, urlsplit(origin).port)
             for number in range(200):

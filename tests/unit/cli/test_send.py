@@ -10,13 +10,10 @@ from msgspec.structs import replace
 
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_UNREACHABLE
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import ServoModel
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.physics import Physics, ServoSpec
-from tests.served_bus import served_bus
+from lss_motion.sim.physics import ServoSpec
+from tests.served_bus import recording_bus, served_bus
 
 pytestmark = pytest.mark.realtime
 
@@ -47,20 +44,14 @@ def send(capsys):
     return run
 
 
+LSS = SERVO_MODELS["LSS-ST1"]
 FIRST_ASKED = (b"QMS\r", b"QF\r")
 """What a servo is asked before anything else, if no robot file states it."""
 
 
 @contextmanager
 def served(link, *specs, faults=()):
-    bus = SimBus(
-        specs,
-        baud_bps=115200,
-        firmware=370,
-        physics=Physics(noise_deg=0.0),
-        faults=faults,
-    )
-    bus.record()
+    bus = recording_bus(*specs, faults=faults)
     with served_bus(bus, link):
         yield bus
 
@@ -101,7 +92,7 @@ def test_without_a_robot_file_the_servo_states_its_family_and_firmware(send, tmp
     """5 is holding for an LSS-PRO of firmware 780, 6 for an older one."""
     pro = ServoSpec(servo_id=6, model=SERVO_MODELS["LSS-P-S1"], start_deg=12.34, firmware=780)
     old = replace(pro, servo_id=7, firmware=700)
-    lss = ServoSpec(servo_id=5, model=MODELS["LSS"], firmware=367)
+    lss = ServoSpec(servo_id=5, model=LSS, firmware=367)
     with served(tmp_path / "port", pro, old, lss):
         to = ("--port", tmp_path / "port", "--id")
         assert send(*to, 6, "QD")[1] == "*6QD1234   12.34 deg"
@@ -113,7 +104,7 @@ def test_without_a_robot_file_the_servo_states_its_family_and_firmware(send, tmp
 
 def test_values_are_in_units_and_reach_the_servo_in_its_own(send, tmp_path):
     link = tmp_path / "port"
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         assert send("--port", link, "--id", 5, "--yes", "D", 45, "T", 300)[:2] == (0, "")
         assert send("--port", link, "--id", 5, "--yes", "sd", 90)[:2] == (0, "")
         assert send("--port", link, "--id", 5, "--raw", "LED3") == (
@@ -134,7 +125,7 @@ def test_a_restart_that_takes_the_port_away_is_announced(send, tmp_path):
         code, _, errors = send(*to)
         assert code == EXIT_FINISHED
         assert "its port is gone for up to 10 s if the USB cable is at this servo" in errors
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])):
+    with served(link, ServoSpec(servo_id=5, model=LSS)):
         assert "port" not in send(*to)[2]
 
 
@@ -142,7 +133,7 @@ def test_a_board_obeys_and_answers(send, tmp_path):
     link = tmp_path / "port"
     asked = ("--port", link, "--family", "LSS-2IO")
     seen = Fault(kind=FaultKind.INPUT, servo_id=203, raw=426)
-    with served(link, ServoSpec(servo_id=209, model=MODELS["LSS-2IO"]), faults=[seen]):
+    with served(link, ServoSpec(servo_id=209, model=SERVO_MODELS["LSS-2IO"]), faults=[seen]):
         assert send(*asked, "--id", 209, "--yes", "D", 45)[:2] == (EXIT_FINISHED, "")
         assert send(*asked, "--id", 209, "QD")[:2] == (EXIT_FINISHED, "*209QD450   45 deg")
         assert send(*asked, "--id", 203, "QA")[:2] == (EXIT_FINISHED, "*203QA426   426")
@@ -150,14 +141,6 @@ def test_a_board_obeys_and_answers(send, tmp_path):
         code, out, errors = send(*asked, "--id", 254, "QMS")
     assert (code, out) == (EXIT_UNREACHABLE, "")
     assert "no reply to QMS from servo 254" in errors
-
-
-MODELS = {
-    "LSS": ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10),
-    "LSS-2IO": ServoModel(
-        name="LSS-2IO", family=Family.IO2, speed_max_deg_s=400.0, wire_per_deg=10
-    ),
-}
 
 
 def test_a_servo_that_is_not_there_ends_with_its_exit_code(send, robot):
@@ -208,7 +191,7 @@ def test_without_a_port_or_a_robot_nothing_is_sent(send, port):
 
 def test_negative_values_are_values(send, tmp_path):
     link = tmp_path / "port"
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         assert send("--port", link, "--id", 5, "--yes", "D", "-12.3")[0] == EXIT_FINISHED
         send("--port", link, "--id", 5, "QG")
         assert moves(bus) == [b"#5D-123\r"]
@@ -260,7 +243,7 @@ def test_what_moves_or_changes_a_real_servo_is_shown_and_asked(
 ):
     link = tmp_path / "port"
     to = ("--port", link, "--id", 5)
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         code, out, errors = send(*to, *words)
         assert (code, out) == (EXIT_INPUT, "")
         assert shown in errors
@@ -280,7 +263,7 @@ def test_what_moves_or_changes_a_real_servo_is_shown_and_asked(
 @pytest.mark.parametrize("servo_id", [5, 254])
 def test_what_stops_or_asks_a_servo_is_sent_at_once(send, tmp_path, words, servo_id):
     link = tmp_path / "port"
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         send("--port", link, "--id", servo_id, *words)
         send("--port", link, "--id", 5, "QID")
         assert bus.lines[0][1].startswith(b"#%d" % servo_id)
@@ -297,7 +280,7 @@ def test_a_command_to_every_servo_needs_force_and_is_asked_all_the_same(
     send, tmp_path, at_keyboard, robot, words
 ):
     link = tmp_path / "port"
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         for to in (("--port", link), ("--port", link, "--robot", robot)):
             at_keyboard("y\n")
             code, _, errors = send(*to, "--id", 254, "--yes", *words)
@@ -329,7 +312,7 @@ def test_a_move_keeps_the_speed_of_its_joint_and_needs_no_question(
     send, tmp_path, robot, words, sent, said
 ):
     link = tmp_path / "port"
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         code, out, errors = send("--robot", robot, "--port", link, "--id", 5, *words)
         assert (code, out) == (EXIT_FINISHED, "")
         assert said in errors
@@ -357,7 +340,7 @@ def test_what_leaves_the_limits_of_a_joint_needs_force(
     send, tmp_path, robot, words, why, is_simulated
 ):
     link = tmp_path / "port"
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         port = () if is_simulated else ("--port", link)
         code, out, errors = send("--robot", robot, *port, "--id", 5, "--yes", *words)
         assert (code, out) == (EXIT_INPUT, "")
@@ -374,13 +357,13 @@ def test_a_move_whose_speed_nothing_limits_is_asked_about(send, tmp_path, robot)
     """Without its motion profile a servo ignores T and SD (EM0); it may also not reply."""
     link = tmp_path / "port"
     to = ("--robot", robot, "--port", link, "--id", 5)
-    with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=5, model=LSS)) as bus:
         assert send(*to, "--yes", "EM", 0)[0] == EXIT_FINISHED
         code, _, errors = send(*to, "D", 45, "T", 9000)
         assert code == EXIT_INPUT
         assert "the speed of joint 'arm' cannot be limited" in errors
         assert moves(bus) == [b"#5EM0\r"]
-    with served(link, ServoSpec(servo_id=7, model=MODELS["LSS"])) as bus:
+    with served(link, ServoSpec(servo_id=7, model=LSS)) as bus:
         code, _, errors = send(*to, "MD", 5)
         assert code == EXIT_INPUT
         assert "joint 'arm' does not report where it stands" in errors

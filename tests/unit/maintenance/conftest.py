@@ -7,29 +7,17 @@ import pytest
 from lss_motion.cli.main import main
 from lss_motion.playing import connection as connections
 from lss_motion.playing.connection import Connection
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import Bus, ServoModel
+from lss_motion.robot.model import Bus
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus, SimPort
 from lss_motion.sim.physics import Physics, ServoSpec
 from lss_motion.system.clock import VirtualClock
-
-MODELS = {
-    "LSS-ST1": ServoModel(
-        name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10
-    ),
-    "LSS-P-S1": ServoModel(
-        name="LSS-P-S1", family=Family.LSS_PRO, speed_max_deg_s=180.0, wire_per_deg=100
-    ),
-    "LSS-2IO": ServoModel(
-        name="LSS-2IO", family=Family.IO2, speed_max_deg_s=400.0, wire_per_deg=10
-    ),
-}
 
 
 @pytest.fixture
 def spec():
     def make(servo_id, model="LSS-ST1", **options):
-        return ServoSpec(servo_id=servo_id, model=MODELS[model], **options)
+        return ServoSpec(servo_id=servo_id, model=SERVO_MODELS[model], **options)
 
     return make
 

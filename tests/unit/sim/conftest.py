@@ -7,12 +7,11 @@ import re
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import ServoModel
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import Physics, ServoSpec
 
-ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+ST1 = SERVO_MODELS["LSS-ST1"]
 
 QUIET = Physics(noise_deg=0.0)
 

@@ -3,8 +3,8 @@ from campaign.random_faults import KINDS, mixed_faults, random_faults
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.protocol.constants import Family
-from lss_motion.robot.model import Bus, Robot, ServoModel
+from lss_motion.robot.model import Bus, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import load_faults
@@ -15,7 +15,7 @@ from tests.tables import titled
 
 @pytest.fixture
 def two_buses():
-    model = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+    model = SERVO_MODELS["LSS-ST1"]
     joints = {
         bus: joint(bus, servo_id, bus=bus, model=model)
         for servo_id, bus in ((1, "left"), (2, "right"))

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
-from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
+from lss_motion.robot.model import Bus, Joint, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.show.model import Interpolation, Keyframe
 
-MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+MODEL = SERVO_MODELS["LSS-ST1"]
 
 MakeRobot = Callable[..., Robot]
 MakeFrame = Callable[..., Keyframe]
