@@ -27,7 +27,7 @@ from lss_motion.errors import LssMotionError
 from lss_motion.interchange import (
     ForeignMotion,
     LabelTrack,
-    Unit,
+    Measure,
     imported,
     load_map,
     map_template,
@@ -204,7 +204,7 @@ def map_for(motion: ForeignMotion, robot: Robot, folder: Path) -> Path:
     """Return the template of a map, with a spindle behind what slides."""
     text = map_template(motion, robot)
     for channel in motion.channels:
-        if channel.unit is Unit.RAD_OR_M:
+        if channel.unit is Measure.RAD_OR_M:
             name = f'name: "{channel.name}"'
             text = text.replace(name, f"{name}, unit: m, scale: 900")
     path = folder / "map.yaml"

@@ -11,7 +11,7 @@ from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options, channel_of, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _beats(arguments: argparse.Namespace) -> int:
     from lss_motion.sound.files import SoundPart
 
     require_outputs(
-        [Output(arguments.plot, Kind.PICTURE)],
+        [Output(arguments.plot, OutputKind.PICTURE)],
         sources=[arguments.file, arguments.into],
         is_forced=arguments.force,
     )

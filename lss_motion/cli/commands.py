@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.shows import Show
     from lss_motion.robot.model import Robot
 
-    Commands: TypeAlias = "argparse._SubParsersAction[CommandParser]"  # noqa: SLF001
+    Commands: TypeAlias = "argparse._SubParsersAction[SubcommandParser]"  # noqa: SLF001
     """The type that `add_subparsers` returns; argparse has no public name for it."""
 
 TOLERANCE_MAX_DEG: Final = 90.0
@@ -120,7 +120,7 @@ class ProgramParser(Parser):
         return formatter.format_help()
 
 
-class CommandParser(Parser):
+class SubcommandParser(Parser):
     """The parser of one command: it refuses an unknown option with its own usage.
 
     argparse leaves that to the parser of the program, which shows the list of commands.

@@ -14,7 +14,7 @@ from lss_motion.cli.commands import add_command, require_baud, require_joint, ro
 from lss_motion.cli.messages import agrees, put, say
 from lss_motion.cli.options import add_options, add_robot
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.texts import comma_text, counted
 
 if TYPE_CHECKING:
@@ -475,7 +475,7 @@ def _back_up(
     from lss_motion.maintenance.settings import ServoBackup, backup_text
     from lss_motion.maintenance.survey import query_each
 
-    output = Output(path, Kind.YAML)
+    output = Output(path, OutputKind.YAML)
     require_outputs([output], sources=[robot_path], is_forced=is_forced)
     found = api.read_whole(connection, targets)
     present = {

@@ -9,7 +9,7 @@ from lss_motion.cli.commands import TOLERANCE_MAX_DEG, add_command, reader
 from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options, channel_of, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
@@ -43,13 +43,13 @@ FORMATS_OUT: Final = ("csv", "ros", "blender-csv", "blender-json", PROGRAM, SKET
 """The names of `interchange.EXPORT_NAMES`; the compiled program, as text and as a sketch; a log."""
 
 KINDS: Final = {
-    "csv": Kind.TABLE,
-    "ros": Kind.ROS,
-    "blender-csv": Kind.TABLE,
-    "blender-json": Kind.BLENDER,
-    PROGRAM: Kind.PROGRAM,
-    SKETCH: Kind.ARDUINO,
-    MCAP: Kind.MCAP,
+    "csv": OutputKind.TABLE,
+    "ros": OutputKind.ROS,
+    "blender-csv": OutputKind.TABLE,
+    "blender-json": OutputKind.BLENDER,
+    PROGRAM: OutputKind.PROGRAM,
+    SKETCH: OutputKind.ARDUINO,
+    MCAP: OutputKind.MCAP,
 }
 
 SUFFIXES: Final = {
@@ -214,7 +214,7 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.sound.files import is_sound
 
     require_outputs(
-        [Output(arguments.make_map or arguments.output, Kind.YAML)],
+        [Output(arguments.make_map or arguments.output, OutputKind.YAML)],
         sources=[arguments.file, arguments.robot, arguments.robot_cache, arguments.map],
         is_forced=arguments.force,
     )
@@ -274,7 +274,7 @@ def _write(
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from lss_motion.interchange.export import Samples, exported
+    from lss_motion.interchange.export import PlanSamples, exported
     from lss_motion.planning import shows
     from lss_motion.planning.program.arduino import header_name
     from lss_motion.planning.program.text import to_text
@@ -287,7 +287,7 @@ def _export(arguments: argparse.Namespace) -> int:
         raise InputError(f"has a suffix without a format; add --to: {known}", path=output)
     outputs = [Output(output, KINDS[format_name])]
     if format_name == SKETCH:
-        outputs.append(Output(output.with_name(header_name(output)), Kind.ARDUINO))
+        outputs.append(Output(output.with_name(header_name(output)), OutputKind.ARDUINO))
     given = [arguments.file, arguments.robot, arguments.robot_cache]
     if format_name == SKETCH and output.parent.name == output.stem and output.parents[1].is_dir():
         output.parent.mkdir(exist_ok=True)  # The Arduino tools require a folder of this name.
@@ -310,7 +310,7 @@ def _export(arguments: argparse.Namespace) -> int:
     require_outputs(outputs, sources=sources, is_forced=arguments.force)
     trajectory = shows.planned(sequence, robot)
     shows.require_rows(trajectory, arguments.rate_hz)
-    samples = Samples.of(trajectory, shows.shown_s(trajectory), arguments.rate_hz)
+    samples = PlanSamples.of(trajectory, shows.shown_s(trajectory), arguments.rate_hz)
     write_output(output, exported(samples, format_name))
     say(f"{output}: {counted(samples.times_s, 'sample')} of {counted(samples.joints, 'joint')}")
     return EXIT_FINISHED
@@ -568,7 +568,7 @@ def _part(arguments: argparse.Namespace) -> SoundPart:
 
 
 def _style(arguments: argparse.Namespace) -> VoiceStyle:
-    from lss_motion.interchange.voice import Follow, VoiceStyle
+    from lss_motion.interchange.voice import VoiceFollow, VoiceStyle
     from lss_motion.sound.envelope import MouthStyle
 
     names = ("threshold_db", "attack_s", "release_s", "gain_db", "opening_min")
@@ -577,7 +577,7 @@ def _style(arguments: argparse.Namespace) -> VoiceStyle:
         given["band_hz"] = tuple(arguments.band_hz)
     mouth = MouthStyle(**{name: value for name, value in given.items() if value is not None})
     return VoiceStyle(
-        follow=Follow(arguments.follow or "syllables"),
+        follow=VoiceFollow(arguments.follow or "syllables"),
         mouth=mouth,
         near_deg=arguments.closed_deg,
         far_deg=arguments.open_deg,

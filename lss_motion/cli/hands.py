@@ -73,7 +73,7 @@ NEAR_DEG: Final = 1.0
 """A joint this near to an end of its range is marked as at the limit."""
 
 
-class Screen:
+class HandsScreen:
     """Draws on standard error if that is a terminal; prints lines on standard output."""
 
     def __init__(self) -> None:
@@ -143,7 +143,7 @@ class HandsControls(Inputs, ABC):
 
     def __init__(self) -> None:
         super().__init__()
-        self._screen = Screen()
+        self._screen = HandsScreen()
         self._has_begun = False
         self.now_ns = 0
         self.error: InputError | None = None

@@ -18,7 +18,7 @@ from lss_motion.errors import (
     InputError,
     PlaybackError,
 )
-from lss_motion.files.output import Kind, Output, require_outputs
+from lss_motion.files.output import Output, OutputKind, require_outputs
 
 if TYPE_CHECKING:
     import argparse
@@ -187,7 +187,7 @@ def _check_from_log(arguments: argparse.Namespace) -> None:
     ):
         if is_given:
             raise InputError(f"{option} is for moves; with --from nothing moves")
-    sources, output = [arguments.robot, arguments.log], Output(arguments.output, Kind.YAML)
+    sources, output = [arguments.robot, arguments.log], Output(arguments.output, OutputKind.YAML)
     require_outputs([output], sources=sources, is_forced=arguments.force)
 
 
@@ -201,7 +201,7 @@ def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
         )
     output = arguments.output
     sources = [arguments.robot]
-    require_outputs([Output(output, Kind.YAML)], sources=sources, is_forced=arguments.force)
+    require_outputs([Output(output, OutputKind.YAML)], sources=sources, is_forced=arguments.force)
 
 
 def _announce(

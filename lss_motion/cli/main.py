@@ -10,7 +10,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import COMMANDS, CommandParser, ProgramParser, add_version
+from lss_motion.cli.commands import COMMANDS, ProgramParser, SubcommandParser, add_version
 from lss_motion.cli.messages import guarded
 from lss_motion.errors import EXIT_FINISHED
 from lss_motion.system.signals import as_program
@@ -73,7 +73,7 @@ def _empty_parser() -> tuple[argparse.ArgumentParser, Commands]:
     )
     add_version(parser)
     parser.set_defaults(handler=lambda _: _print_help(parser))
-    return parser, parser.add_subparsers(metavar="COMMAND", parser_class=CommandParser)
+    return parser, parser.add_subparsers(metavar="COMMAND", parser_class=SubcommandParser)
 
 
 def _print_help(parser: argparse.ArgumentParser) -> int:

@@ -12,7 +12,7 @@ from lss_motion.cli.commands import SIMULATED_NOTE, add_command, robot_at
 from lss_motion.cli.messages import put, say, shown
 from lss_motion.cli.options import add_options, add_robot, number_from
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, BusError, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.system.signals import exit_code
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
@@ -94,7 +94,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
 
     if arguments.robot is None and arguments.port is None:
         raise InputError("give a ROBOT file, or --port")
-    outputs = [Output(arguments.csv, Kind.READINGS)]
+    outputs = [Output(arguments.csv, OutputKind.READINGS)]
     require_outputs(outputs, sources=[arguments.robot], is_forced=arguments.force)
     robot = None
     if arguments.robot is not None:
@@ -116,7 +116,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
             say(SIMULATED_NOTE)
         watch = Watch(_with_firmware(connection, _targets(connection, robot)), connection.buses)
         screen = stack.enter_context(
-            Screen(watch, alarms, every_s=arguments.every, is_quiet=arguments.quiet)
+            MonitorScreen(watch, alarms, every_s=arguments.every, is_quiet=arguments.quiet)
         )
         recorder = None if table is None else Recorder(table)
         return _run(connection, watch, screen, recorder, arguments.for_s)
@@ -125,7 +125,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
 def _run(
     connection: Connection,
     watch: Watch,
-    screen: Screen,
+    screen: MonitorScreen,
     recorder: Recorder | None,
     for_s: float | None,
 ) -> int:
@@ -236,7 +236,7 @@ CSV_HEAD: Final = (
 )
 
 
-class Screen:
+class MonitorScreen:
     """A table on a terminal, lines elsewhere. Beeps for new alarms."""
 
     def __init__(self, watch: Watch, alarms: Alarms, *, every_s: float, is_quiet: bool) -> None:

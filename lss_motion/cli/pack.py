@@ -19,7 +19,7 @@ from lss_motion.cli.commands import add_command
 from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError, LssMotionError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def add_to(commands: Commands) -> None:
 
 def _pack(arguments: argparse.Namespace) -> int:
     require_outputs(
-        [Output(arguments.output, Kind.ARCHIVE)],
+        [Output(arguments.output, OutputKind.ARCHIVE)],
         sources=[arguments.file, arguments.robot, *arguments.more],
         is_forced=arguments.force,
     )

@@ -11,7 +11,7 @@ from lss_motion.cli.commands import add_command, prepared, print_json, reader
 from lss_motion.cli.messages import StepLine, say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     from lss_motion.planning import shows
     from lss_motion.planning.summaries import plan_lines
 
-    outputs = [Output(arguments.csv, Kind.TABLE), Output(arguments.plot, Kind.PICTURE)]
+    outputs = [Output(arguments.csv, OutputKind.TABLE), Output(arguments.plot, OutputKind.PICTURE)]
     given = _inputs(arguments)
     require_outputs(outputs, sources=given, is_forced=arguments.force)
     sequence, robot = shows.load(*_files(arguments))
@@ -269,7 +269,7 @@ def _compile(arguments: argparse.Namespace) -> int:
 
     if arguments.output is not None:
         shows.require_program_suffix(arguments.output)
-    outputs = [Output(arguments.output, Kind.PROGRAM)]
+    outputs = [Output(arguments.output, OutputKind.PROGRAM)]
     require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
     show = prepared(arguments, may_query=False, is_following=arguments.follow)
     if arguments.output is None:
@@ -318,7 +318,10 @@ def _gait(arguments: argparse.Namespace) -> int:
     from lss_motion.show.gait.pacing import gait_as_json, gait_lines, paced
     from lss_motion.show.write import write_sequence
 
-    outputs = [Output(arguments.output, Kind.YAML), Output(arguments.plot, Kind.PICTURE)]
+    outputs = [
+        Output(arguments.output, OutputKind.YAML),
+        Output(arguments.plot, OutputKind.PICTURE),
+    ]
     require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
     gait, robot = shows.load_gait(
         arguments.file, arguments.robot, reader(arguments, may_query=False)

@@ -31,7 +31,7 @@ from lss_motion.errors import (
     LostPortError,
     PlaybackError,
 )
-from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
+from lss_motion.files.output import OTHER_NAME_REMEDY, Output, OutputKind, require_outputs
 from lss_motion.system.signals import as_program
 
 if TYPE_CHECKING:
@@ -279,9 +279,9 @@ def _play(
 def _check_outputs(arguments: argparse.Namespace) -> None:
     """Refuse outputs that cannot be written, or that would replace what is not theirs."""
     outputs = [
-        Output(arguments.report, Kind.REPORT),
-        Output(arguments.truth, Kind.TABLE),
-        Output(arguments.log, Kind.LOG),
+        Output(arguments.report, OutputKind.REPORT),
+        Output(arguments.truth, OutputKind.TABLE),
+        Output(arguments.log, OutputKind.LOG),
     ]
     sources = [arguments.file, arguments.robot, arguments.robot_cache, arguments.faults]
     require_outputs(outputs, sources=sources, remedy=OTHER_NAME_REMEDY)

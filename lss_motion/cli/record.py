@@ -9,7 +9,7 @@ from lss_motion.cli.hands import HandsControls, chosen_joints, joint_lines, perf
 from lss_motion.cli.messages import ended_by, say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
-from lss_motion.files.output import Kind, Output, require_outputs
+from lss_motion.files.output import Output, OutputKind, require_outputs
 from lss_motion.files.texts import counted
 from lss_motion.playing.player.events import Phase
 from lss_motion.units import NS_PER_S, ns_from_s
@@ -107,7 +107,7 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
-    output = Output(arguments.output, Kind.YAML)
+    output = Output(arguments.output, OutputKind.YAML)
     require_outputs([output], sources=[arguments.robot], is_forced=arguments.force)
     if not simulated and (arguments.virtual or arguments.hand is not None):
         raise InputError("--virtual and --hand need the simulated bus: use --port sim://")

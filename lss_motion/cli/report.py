@@ -16,7 +16,7 @@ from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import say
 from lss_motion.cli.options import OPTIONS, add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.files.output import Kind, Output, require_outputs
+from lss_motion.files.output import Output, OutputKind, require_outputs
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
 from lss_motion.files.texts import SCREEN_CHARS, aligned, counted
 
@@ -56,7 +56,7 @@ def _report(arguments: argparse.Namespace) -> int:
         raise InputError(f"{len(arguments.reports)} reports: give one, or two to compare")
     if arguments.plot is not None and len(arguments.reports) > 1:
         raise InputError("--plot draws one report; give one")
-    outputs = [Output(arguments.plot, Kind.PICTURE)]
+    outputs = [Output(arguments.plot, OutputKind.PICTURE)]
     require_outputs(outputs, sources=arguments.reports, is_forced=arguments.force)
     found = [_read_report(path) for path in arguments.reports]
     shown = [] if arguments.json else zip(arguments.reports, found, strict=True)

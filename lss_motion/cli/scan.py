@@ -12,7 +12,7 @@ from lss_motion.cli.commands import SIMULATED_NOTE, add_command, print_json, req
 from lss_motion.cli.messages import StepLine, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.texts import counted
 from lss_motion.maintenance.survey import survey, unreadable
 
@@ -69,7 +69,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
 
     require_baud("--baud", arguments.baud)
     require_outputs(
-        [Output(arguments.output, Kind.YAML)],
+        [Output(arguments.output, OutputKind.YAML)],
         sources=[arguments.robot],
         is_forced=arguments.force,
     )

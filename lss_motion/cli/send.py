@@ -118,7 +118,7 @@ def _send(arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED
 
 
-class _Servo(NamedTuple):
+class _AskedServo(NamedTuple):
     """The language of the servo, and what it answers to QF; None: unknown."""
 
     language: Language
@@ -127,7 +127,7 @@ class _Servo(NamedTuple):
 
 def _servo(
     connection: Connection, bus: str, arguments: argparse.Namespace, joint: Joint | None
-) -> _Servo:
+) -> _AskedServo:
     """Return what the options, the robot file and the servo itself state about it.
 
     The servo is asked for what the options leave open. A command that stops it (H, L) or that all
@@ -149,7 +149,7 @@ def _servo(
     is_known = family is not None or joint is not None
     keyword = arguments.words[0].upper().rstrip("-0123456789")
     if servo_id == BROADCAST_ID or keyword in HARMLESS:
-        return _Servo(language, firmware)
+        return _AskedServo(language, firmware)
     keywords = ([] if is_known else ["QMS"]) + (["QF"] if firmware is None else [])
     answers = connection.ask(
         Item(bus=bus, command=Command(servo_id, keyword), is_query=True, tries=2)
@@ -159,7 +159,7 @@ def _servo(
     model, version = (answers.get((bus, servo_id, keyword)) for keyword in ("QMS", "QF"))
     if model is not None:
         language = Language(family_of(str(model)))
-    return _Servo(language, firmware or (version if isinstance(version, int) else None))
+    return _AskedServo(language, firmware or (version if isinstance(version, int) else None))
 
 
 def _standing(connection: Connection, joint: Joint, command: Command) -> Standing | None:
@@ -226,7 +226,7 @@ def _robot(arguments: argparse.Namespace) -> Robot | None:
     return robot_at(arguments.robot, arguments.port)
 
 
-def _command(arguments: argparse.Namespace, servo: _Servo) -> Command:
+def _command(arguments: argparse.Namespace, servo: _AskedServo) -> Command:
     """Return the command of the words: raw, or with values in physical units."""
     from lss_motion.protocol.codec import make_command
     from lss_motion.protocol.framing import Command, CommandParser
@@ -266,7 +266,7 @@ def _number(word: str) -> float:
         raise InputError(f"{word!r} is not a number{comma_text(word)}") from None
 
 
-def _reply_text(servo: _Servo, command: Command, value: int | str | None) -> str:
+def _reply_text(servo: _AskedServo, command: Command, value: int | str | None) -> str:
     from lss_motion.protocol.codec import read_reply
     from lss_motion.protocol.framing import Reply, encode
 
@@ -279,7 +279,7 @@ def _reply_text(servo: _Servo, command: Command, value: int | str | None) -> str
     return f"{line}   {_meaning(servo, command, statement)}".rstrip()
 
 
-def _meaning(servo: _Servo, command: Command, statement: Decoded) -> str:
+def _meaning(servo: _AskedServo, command: Command, statement: Decoded) -> str:
     """Return the value with its unit; a code as its name."""
     from lss_motion.protocol.constants import Led, SafeModeCause, status_from
 

@@ -16,7 +16,7 @@ from lss_motion.cli.commands import add_command, print_json
 from lss_motion.cli.messages import put, say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 
 if TYPE_CHECKING:
     import argparse
@@ -114,7 +114,7 @@ def _add_morning(commands: Commands) -> None:
 def _morning(arguments: argparse.Namespace) -> int:
     from lss_motion.stage.morning import as_json, html_of, read_night, text_of
 
-    require_outputs([Output(arguments.html, Kind.PAGE)], is_forced=arguments.force)
+    require_outputs([Output(arguments.html, OutputKind.PAGE)], is_forced=arguments.force)
     night = read_night(arguments.folder, _time(arguments.since))
     if arguments.html is not None:
         name = arguments.folder.absolute().parent.name

@@ -21,7 +21,7 @@ from lss_motion.errors import (
     InputError,
     PlanningError,
 )
-from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
+from lss_motion.files.output import OTHER_NAME_REMEDY, Output, OutputKind, require_outputs
 from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion.playing.connection import with_port
     from lss_motion.show.gait.model import BodyPose
 
-    outputs = [Output(arguments.report, Kind.REPORT)]
+    outputs = [Output(arguments.report, OutputKind.REPORT)]
     sources = [arguments.file, arguments.robot, arguments.robot_cache]
     require_outputs(outputs, sources=sources, remedy=OTHER_NAME_REMEDY)
     read_robot = reader(arguments, may_query=True)

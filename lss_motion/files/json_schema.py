@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 from msgspec import NODEFAULT
 from msgspec.structs import fields
 
-from lss_motion.files.keys import Bounds, FileModel, Plain
+from lss_motion.files.keys import FileModel, KeyBounds, Plain
 
 
 def json_schema(model: type[FileModel]) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def _type_schema(hint: Any, parts: dict[str, Any]) -> dict[str, Any]:  # noqa: A
         plain = next((part for part in inside if isinstance(part, Plain)), None)
         made = dict(plain.schema) if plain else _type_schema(inside[0], parts)
         for part in inside[1:]:
-            if isinstance(part, Bounds):
+            if isinstance(part, KeyBounds):
                 made |= _meta_schema(part, str(made.get("type")))
         return made
     if origin in (Union, types.UnionType):
@@ -88,7 +88,7 @@ def _type_schema(hint: Any, parts: dict[str, Any]) -> dict[str, Any]:  # noqa: A
     return {"type": _JSON_TYPES[hint]}
 
 
-def _meta_schema(part: Bounds, kind: str) -> dict[str, Any]:
+def _meta_schema(part: KeyBounds, kind: str) -> dict[str, Any]:
     length = _LENGTHS.get(kind, "")
     made = {
         "minimum": part.ge,

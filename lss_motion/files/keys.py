@@ -24,7 +24,7 @@ _UNPRINTABLE: Final = frozenset({"Cc", "Cn", "Cs", "Zl", "Zp"})
 """Unicode categories that a terminal or a YAML writer cannot show: controls, halves, separators."""
 
 
-class Bounds(Struct, frozen=True, eq=False, kw_only=True):
+class KeyBounds(Struct, frozen=True, eq=False, kw_only=True):
     """What a type or a key says of its values: bounds, and the words of the reference."""
 
     ge: float | None = None
@@ -41,8 +41,8 @@ class Bounds(Struct, frozen=True, eq=False, kw_only=True):
 
 
 def Field(**said: Any) -> Any:  # noqa: ANN401, N802  (the default of a key of any type)
-    """Return what a type or a key says of its values, as `Bounds` names it."""
-    return Bounds(**said)
+    """Return what a type or a key says of its values, as `KeyBounds` names it."""
+    return KeyBounds(**said)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(Field,))
@@ -50,12 +50,12 @@ class KeysMeta(StructMeta):
     """Makes the class of keys: what `Field` says stays beside it, and gives the defaults."""
 
     title: str
-    said: dict[str, Bounds]
+    said: dict[str, KeyBounds]
 
     def __new__(
         cls, name: str, bases: tuple[type, ...], names: dict[str, Any], title: str = ""
     ) -> KeysMeta:
-        said = {key: value for key, value in names.items() if isinstance(value, Bounds)}
+        said = {key: value for key, value in names.items() if isinstance(value, KeyBounds)}
         for key, value in said.items():
             if value.default_factory is not UNSET:
                 names[key] = msgspec.field(default_factory=value.default_factory)
@@ -79,7 +79,7 @@ class FileModel(Struct, metaclass=KeysMeta):  # noqa: PLW1641  (a list has no ha
     """
 
     title: ClassVar[str]
-    said: ClassVar[dict[str, Bounds]]
+    said: ClassVar[dict[str, KeyBounds]]
     more_schema: ClassVar[dict[str, Any]] = {}
     given: frozenset[str] = frozenset()
 

@@ -31,7 +31,7 @@ _BELOW_HOME: Final = {"linux": {"cache": ".cache", "state": ".local/state"}}
 of what numpy takes (measured)."""
 
 
-class Kind(StrEnum):
+class OutputKind(StrEnum):
     """What an output holds. An existing file of the same kind, or an empty one, is replaced."""
 
     YAML = "YAML file"
@@ -55,21 +55,21 @@ HEAD_BYTES: Final = 256
 """The start of an existing file that tells its kind; the patterns below need less."""
 
 _HEADS: Final = {
-    Kind.TABLE: rb"(# fps: [^\n]*\r?\n)?(t_s,(?!servo,position_deg)|frame,)",
-    Kind.READINGS: rb"t_s,servo,position_deg",
-    Kind.PROGRAM: rb"# lss_motion program ",
-    Kind.LOG: rb'# lss_motion log |\{"format":"lss_motion log",',
-    Kind.REPORT: rb'\{\s*"schema": \d+,\s*"sequence": ',
+    OutputKind.TABLE: rb"(# fps: [^\n]*\r?\n)?(t_s,(?!servo,position_deg)|frame,)",
+    OutputKind.READINGS: rb"t_s,servo,position_deg",
+    OutputKind.PROGRAM: rb"# lss_motion program ",
+    OutputKind.LOG: rb'# lss_motion log |\{"format":"lss_motion log",',
+    OutputKind.REPORT: rb'\{\s*"schema": \d+,\s*"sequence": ',
     # PNG, JPEG, GIF, PDF, PostScript, TIFF, WebP, compressed SVG, SVG, PGF.
-    Kind.PICTURE: rb"\x89PNG|\xff\xd8\xff|GIF8|%PDF|%!PS|II\*\0|MM\0\*|RIFF....WEBP|\x1f\x8b"
+    OutputKind.PICTURE: rb"\x89PNG|\xff\xd8\xff|GIF8|%PDF|%!PS|II\*\0|MM\0\*|RIFF....WEBP|\x1f\x8b"
     rb"|(<\?xml[^>]*>\s*)?(<!DOCTYPE svg|<svg)|%% Creator: Matplotlib",
-    Kind.ROS: rb"joint_names: \[",
-    Kind.BLENDER: rb'\{"description": ',
-    Kind.ARDUINO: rb"// lss_motion sketch",
-    Kind.MCAP: rb"\x89MCAP0\r\n",
-    Kind.LEARNT: rb"# lss_motion learnt ",
-    Kind.PAGE: rb"<!doctype html>",
-    Kind.ARCHIVE: rb"PK\x03\x04",
+    OutputKind.ROS: rb"joint_names: \[",
+    OutputKind.BLENDER: rb'\{"description": ',
+    OutputKind.ARDUINO: rb"// lss_motion sketch",
+    OutputKind.MCAP: rb"\x89MCAP0\r\n",
+    OutputKind.LEARNT: rb"# lss_motion learnt ",
+    OutputKind.PAGE: rb"<!doctype html>",
+    OutputKind.ARCHIVE: rb"PK\x03\x04",
 }
 """How the files of each kind begin."""
 
@@ -85,7 +85,7 @@ class Output(NamedTuple):
     """A file that a command is to write; `path` is None if it was not requested."""
 
     path: Path | None
-    kind: Kind
+    kind: OutputKind
 
 
 def require_outputs(
@@ -128,11 +128,11 @@ def _is_same(path: Path, other: Path) -> bool:
         return False
 
 
-def _in_the_way(path: Path, kind: Kind) -> str:
+def _in_the_way(path: Path, kind: OutputKind) -> str:
     """Return why an existing file is not replaced; an empty text if it may be."""
     if not path.exists() or not path.is_file():
         return ""
-    if kind is Kind.YAML:
+    if kind is OutputKind.YAML:
         return "exists already"
     try:
         with path.open("rb") as stream:

@@ -22,16 +22,16 @@ from typing import (
 
 from msgspec.structs import fields
 
-from lss_motion.files.keys import Bounds, Check, FileModel, Plain
+from lss_motion.files.keys import Check, FileModel, KeyBounds, Plain
 from lss_motion.files.texts import comma_text, known_names
-from lss_motion.files.yaml_source import Location, Problem
+from lss_motion.files.yaml_source import Location, Mistake
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from lss_motion.files.yaml_source import YamlSource
 
-    Reader = Callable[[object, Location, list[Problem]], Any]
+    Reader = Callable[[object, Location, list[Mistake]], Any]
     """Returns the value of what a file holds at a place, or adds the problems to the list."""
 
 SHOWN_MAX_CHARS: Final = 60
@@ -42,7 +42,7 @@ Model = TypeVar("Model", bound=FileModel)
 
 def validate(
     model: type[Model], source: YamlSource, *, blanks: Mapping[str, FileModel] | None = None
-) -> tuple[Model | None, list[Problem], frozenset[Location]]:
+) -> tuple[Model | None, list[Mistake], frozenset[Location]]:
     """Return what could be made of `source`, every problem found, and what was left out for it.
 
     Left out are the smallest parts that hold a problem: a key at the top (`("loop",)`), or an
@@ -50,14 +50,14 @@ def validate(
     list stands there. The model is None when what is left is no whole file.
     """
     problems = list(source.problems)
-    found: list[Problem] = []
+    found: list[Mistake] = []
     made = _struct(model)(source.value, (), found)
     if not found:
         return made, problems, frozenset()
     if wrong := [problem for problem in found if problem.location == ("version",)]:
         return None, wrong, frozenset()  # The other problems may be what it does not know yet.
     left_out = frozenset(problem.location[:2] for problem in found)
-    again: list[Problem] = []
+    again: list[Mistake] = []
     rest = _struct(model)(_without(source.value, left_out, blanks or {}), (), again)
     return None if again else rest, problems + found, left_out
 
@@ -95,7 +95,7 @@ def _struct(model: type[FileModel]) -> Reader:
     }
     required = {field.name for field in own if field.required}
 
-    def read(value: object, place: Location, problems: list[Problem]) -> Any:  # noqa: ANN401
+    def read(value: object, place: Location, problems: list[Mistake]) -> Any:  # noqa: ANN401
         if isinstance(value, model):
             return value
         if not isinstance(value, dict):
@@ -110,11 +110,11 @@ def _struct(model: type[FileModel]) -> Reader:
             if key in value:
                 values[key] = reader(value[key], (*place, key), problems)
             elif key in required:
-                problems.append(Problem((*place, key), f"{key!r} is missing"))
+                problems.append(Mistake((*place, key), f"{key!r} is missing"))
         for key in value:
             if key not in readers:
                 reason = f"unknown key {key!r}; {known_names(key, readers)}"
-                problems.append(Problem((*place, key), reason))
+                problems.append(Mistake((*place, key), reason))
         if len(problems) > before:
             return None
         return model(**values, given=frozenset(values))
@@ -145,14 +145,14 @@ def _reader(hint: Any, key: str, metas: tuple[Any, ...] = ()) -> Reader:  # noqa
 
 
 def _largest(metas: tuple[Any, ...]) -> float:
-    found = (part.max_length for part in metas if isinstance(part, Bounds))
+    found = (part.max_length for part in metas if isinstance(part, KeyBounds))
     return next((count for count in found if count is not None), math.inf)
 
 
 def _checked(reader: Reader, rules: list[Callable[[Any], Any]]) -> Reader:
     """Return a reader whose value must pass the rules, too."""
 
-    def read(value: object, place: Location, problems: list[Problem]) -> Any:  # noqa: ANN401
+    def read(value: object, place: Location, problems: list[Mistake]) -> Any:  # noqa: ANN401
         before = len(problems)
         found = reader(value, place, problems)
         if len(problems) > before:
@@ -168,7 +168,7 @@ def _checked(reader: Reader, rules: list[Callable[[Any], Any]]) -> Reader:
 
 
 def _scalar(kind: type | tuple[type, ...], rule: str) -> Reader:
-    def read(value: object, place: Location, problems: list[Problem]) -> object:
+    def read(value: object, place: Location, problems: list[Mistake]) -> object:
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             hint = comma_text(value) if kind is int else ""
             problems.append(_problem(place, value, f"{rule}{hint}"))
@@ -177,7 +177,7 @@ def _scalar(kind: type | tuple[type, ...], rule: str) -> Reader:
     return read
 
 
-def _float(value: object, place: Location, problems: list[Problem]) -> float:
+def _float(value: object, place: Location, problems: list[Mistake]) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         problems.append(_problem(place, value, f"must be a number{comma_text(value)}"))
         return 0.0
@@ -201,7 +201,7 @@ _SCALARS: Final[dict[Any, Reader]] = {
 def _literal(allowed: tuple[Any, ...]) -> Reader:
     words = [word for word in allowed if isinstance(word, str)]
 
-    def read(value: object, place: Location, problems: list[Problem]) -> object:
+    def read(value: object, place: Location, problems: list[Mistake]) -> object:
         if not any(value == one and type(value) is type(one) for one in allowed):
             rule = f"is not allowed; {known_names(str(value), words)}"
             problems.append(_problem(place, value, rule))
@@ -211,7 +211,7 @@ def _literal(allowed: tuple[Any, ...]) -> Reader:
 
 
 def _list(item: Reader, most: float) -> Reader:
-    def read(value: object, place: Location, problems: list[Problem]) -> list[Any]:
+    def read(value: object, place: Location, problems: list[Mistake]) -> list[Any]:
         if not isinstance(value, list):
             problems.append(_problem(place, value, "must be a list, such as [1, 2]"))
             return []
@@ -223,7 +223,7 @@ def _list(item: Reader, most: float) -> Reader:
 
 
 def _dict(name: Reader, item: Reader) -> Reader:
-    def read(value: object, place: Location, problems: list[Problem]) -> dict[Any, Any]:
+    def read(value: object, place: Location, problems: list[Mistake]) -> dict[Any, Any]:
         if not isinstance(value, dict):
             rule = "must hold keys and values, such as {name: value}"
             problems.append(_problem(place, value, rule))
@@ -243,7 +243,7 @@ def _union(kinds: tuple[Any, ...], key: str, metas: tuple[Any, ...]) -> Reader:
         (_python_type(one), _reader(one, key, metas)) for one in kinds if one is not type(None)
     ]
 
-    def read(value: object, place: Location, problems: list[Problem]) -> Any:  # noqa: ANN401
+    def read(value: object, place: Location, problems: list[Mistake]) -> Any:  # noqa: ANN401
         if value is None and may_be_none:
             return None
         near = [reader for kind, reader in readers if isinstance(value, kind)]
@@ -275,7 +275,7 @@ def _rules(part: object, metas: tuple[Any, ...]) -> list[Callable[[Any], Any]]:
     """Return the functions that check what one part of an `Annotated` says."""
     if isinstance(part, Check):
         return [part.run]
-    if not isinstance(part, Bounds):
+    if not isinstance(part, KeyBounds):
         return []
     bounds = [(name, getattr(part, name)) for name in _BOUNDS if getattr(part, name) is not None]
     rules = [_rule(*_BOUNDS[name], bound) for name, bound in bounds]
@@ -305,7 +305,7 @@ def _too_many(most: int, value: object) -> str:
 
 
 def _written_as(metas: tuple[Any, ...]) -> Callable[[str, str], str]:
-    given = [part.examples for part in metas if isinstance(part, Bounds) and part.examples]
+    given = [part.examples for part in metas if isinstance(part, KeyBounds) and part.examples]
     if given:
         return lambda *_: f"must be written as in {given[0][0]!r}"
     return lambda pattern, _: f"must match {pattern}"
@@ -321,11 +321,11 @@ _BOUNDS: Final[dict[str, tuple[Callable[[Any, Any], Any], Callable[[Any, Any], s
 """Of each bound: whether it holds, given the bound and the value, and what is allowed, in words."""
 
 
-def _problem(location: Location, value: object, rule: str) -> Problem:
+def _problem(location: Location, value: object, rule: str) -> Mistake:
     place = ".".join(str(part) for part in location if isinstance(part, str))
     if location and isinstance(location[-1], int):
         place += f" item {location[-1] + 1}"
-    return Problem(location, f"{place} ({_shown(value)}): {rule}")
+    return Mistake(location, f"{place} ({_shown(value)}): {rule}")
 
 
 def _shown(value: object) -> str:

@@ -36,7 +36,7 @@ PROBLEMS_MAX: Final = 50
 """Problems that are listed; the rest is counted."""
 
 
-class Problem(Struct, frozen=True):
+class Mistake(Struct, frozen=True):
     """A mistake at one place of a file."""
 
     location: Location
@@ -61,7 +61,7 @@ class YamlSource(Struct, frozen=True):
 
     path: Path
     value: dict[str, object]
-    problems: tuple[Problem, ...]
+    problems: tuple[Mistake, ...]
     _lines: _Lines
     has_lines: bool = True
     """False for what was no file: its problems name places instead."""
@@ -77,9 +77,9 @@ class YamlSource(Struct, frozen=True):
             lines = inside
         return line
 
-    def error(self, problems: list[Problem]) -> InputError:
+    def error(self, problems: list[Mistake]) -> InputError:
         """Return one error with all `problems` (at least one), in the order of the lines."""
-        first_of_each: dict[Location, Problem] = {}
+        first_of_each: dict[Location, Mistake] = {}
         for problem in problems:
             first_of_each.setdefault(problem.location, problem)
         placed = sorted(
@@ -95,7 +95,7 @@ class YamlSource(Struct, frozen=True):
         top = errors[0]
         return InputError(top.reason, path=top.path, line=top.line, more=errors[1:])
 
-    def _error(self, problem: Problem, line: int) -> InputError:
+    def _error(self, problem: Mistake, line: int) -> InputError:
         if self.has_lines:
             return InputError(problem.reason, path=self.path, line=line)
         place = place_text(problem.location)
@@ -207,7 +207,7 @@ class _Builder:
     """Makes values from YAML events; a loop over an explicit depth, so that no input overflows."""
 
     def __init__(self, path: Path, events: Iterator[Any]) -> None:
-        self.problems: list[Problem] = []
+        self.problems: list[Mistake] = []
         self._path = path
         self._events = events
         self._anchors: dict[str, _Node | None] = {}
@@ -292,7 +292,7 @@ class _Builder:
             lines.inside[part] = node.lines
 
     def _problem(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
+        self.problems.append(Mistake(location, reason))
 
     def _key(self, event: Any) -> str:  # noqa: ANN401  yaml seam
         if type(event).__name__ != "ScalarEvent" or event.tag is not None:

@@ -34,7 +34,7 @@ Readers, each a value of `Reader`:
 | `step_tables`  | steps of Maestro, SSC-32 sequencer, Webots, PyPose                     |
 """
 
-from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported
+from lss_motion.interchange.export import EXPORT_NAMES, PlanSamples, exported
 from lss_motion.interchange.importing import (
     FORMAT_NAMES,
     READERS,
@@ -51,9 +51,9 @@ from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
     LabelTrack,
+    Measure,
     Reader,
     RefusedMotion,
-    Unit,
 )
 from lss_motion.interchange.reduce import KeyFit, reduced
 
@@ -68,11 +68,11 @@ __all__ = [
     "LabelStyle",
     "LabelTrack",
     "LabelUse",
+    "Measure",
     "MotionMap",
+    "PlanSamples",
     "Reader",
     "RefusedMotion",
-    "Samples",
-    "Unit",
     "exported",
     "import_motion",
     "imported",

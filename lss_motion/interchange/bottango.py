@@ -17,8 +17,8 @@ from lss_motion.interchange.fields import NUMBER_MAX, JsonFields, parsed_json, s
 from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
+    Measure,
     Reader,
-    Unit,
     recording,
     summarised,
     thinned,
@@ -46,7 +46,11 @@ OVERLAP_MAX_S: Final = 0.0015
 BISECTIONS: Final = 40
 """Halvings of the curve parameter; for a curve of an hour the rest is about 3 ns."""
 
-_SIGNALS: Final = {"rSVPin": (2, Unit.US), "rSVI2C": (3, Unit.US), "rMTR": (2, Unit.RAW)}
+_SIGNALS: Final = {
+    "rSVPin": (2, Measure.US),
+    "rSVI2C": (3, Measure.US),
+    "rMTR": (2, Measure.RAW),
+}
 """Command that registers an effector → position of the least signal in it, and the unit."""
 
 
@@ -55,7 +59,7 @@ class _Controller:
     """The effectors of one controller: least signal, largest signal and unit by id."""
 
     prefix: str
-    signals: dict[str, tuple[float, float, Unit]] = field(default_factory=dict)
+    signals: dict[str, tuple[float, float, Measure]] = field(default_factory=dict)
 
 
 def _is_bottango(data: bytes) -> bool:
@@ -90,7 +94,7 @@ class _Animations:
 
     fields: JsonFields
     curves: dict[str, dict[str, list[FloatArray]]] = field(default_factory=dict)
-    units: dict[str, Unit] = field(default_factory=dict)
+    units: dict[str, Measure] = field(default_factory=dict)
     left_out: dict[str, list[str]] = field(default_factory=dict)
     values_count: int = 0
 

@@ -19,8 +19,8 @@ from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
+    Measure,
     Reader,
-    Unit,
     motion_name,
     recording,
     summarised,
@@ -80,14 +80,14 @@ BVH: Final = Reader("bvh", _is_bvh, _bvh_motions)
 """Reads `HIERARCHY … MOTION …`; degrees, at the frames' distance."""
 
 
-class _Joint(Struct, frozen=True):
+class _BvhJoint(Struct, frozen=True):
     name: str
     kinds: tuple[str, ...]
 
 
-def _skeleton(lines: TextLines, rows: Sequence[tuple[int, str]]) -> list[_Joint]:
+def _skeleton(lines: TextLines, rows: Sequence[tuple[int, str]]) -> list[_BvhJoint]:
     """Return the joints in the order of their columns; raises `InputError`."""
-    joints: dict[str, _Joint] = {}
+    joints: dict[str, _BvhJoint] = {}
     name, depth = "", 0
     for number, row in rows[1:]:
         words = row.replace("{", " { ").replace("}", " } ").split()
@@ -100,7 +100,7 @@ def _skeleton(lines: TextLines, rows: Sequence[tuple[int, str]]) -> list[_Joint]
             if not name or name in joints:
                 lines.refuse(number, f"{words[0]} needs a name that no other joint has")
         elif word == "CHANNELS":
-            joints[name] = _Joint(name, _kinds(lines, number, words, name))
+            joints[name] = _BvhJoint(name, _kinds(lines, number, words, name))
         elif word not in {"OFFSET", "{", "}"}:
             lines.refuse(number, f"{words[0]!r:.60} is not known here; BVH has ROOT, JOINT, OFFSET")
     if len(joints) > JOINTS_MAX:
@@ -153,7 +153,7 @@ def _frames(
     return frame_s, values
 
 
-def _turns(joint: _Joint, times_s: FloatArray, values: FloatArray) -> list[Channel]:
+def _turns(joint: _BvhJoint, times_s: FloatArray, values: FloatArray) -> list[Channel]:
     """Return the channels of a joint that are angles, without jumps of a whole turn."""
     turning = [n for n, kind in enumerate(joint.kinds) if kind.lower().endswith("rotation")]
     found = {joint.kinds[n]: values[:, n] for n in turning}
@@ -168,7 +168,7 @@ def _turns(joint: _Joint, times_s: FloatArray, values: FloatArray) -> list[Chann
     return [
         Channel(
             name=f"{joint.name}.{kind}",
-            unit=Unit.DEG,
+            unit=Measure.DEG,
             times_s=times_s,
             values=np.unwrap(angles_deg, period=360.0),
         )

@@ -34,9 +34,9 @@ from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
     ForeignMotion,
-    Note,
+    Measure,
+    PoseNote,
     Reader,
-    Unit,
     is_dense,
     motion_name,
     summarised,
@@ -275,7 +275,7 @@ class _CommandText:
         if not self.moves:
             self.lines.refuse(None, "has no command that moves a servo (#<id>D… or #<ch>P…)")
         channels = [self._channel(name, moves) for name, moves in self.moves.items()]
-        has_pulses = any(channel.unit is Unit.US for channel in channels)
+        has_pulses = any(channel.unit is Measure.US for channel in channels)
         title = "SSC-32 commands" if has_pulses else "LSS commands"
         order = "one group after the other"
         if self.is_paced:
@@ -315,11 +315,11 @@ class _CommandText:
             is_script=not is_recording and not self.is_stream,
         )
 
-    def _last_pause(self, channels: list[Channel]) -> dict[float, Note]:
+    def _last_pause(self, channels: list[Channel]) -> dict[float, PoseNote]:
         """Return the wait after the last move, as a hold of the last pose."""
         end_s = max(float(channel.times_s[-1]) for channel in channels)
         hold_s = round(self.group_start_s - end_s, DIGITS) if self.is_paced else 0.0
-        return {end_s: Note(hold_s=hold_s)} if hold_s > 0.0 else {}
+        return {end_s: PoseNote(hold_s=hold_s)} if hold_s > 0.0 else {}
 
     def _channel(self, name: str, moves: list[_ServoMove]) -> Channel:
         samples = np.array(list(self._samples(moves)))
@@ -329,7 +329,7 @@ class _CommandText:
         is_pulse = name.startswith("PIN")
         return Channel(
             name=name,
-            unit=Unit.US if is_pulse else Unit.DEG,
+            unit=Measure.US if is_pulse else Measure.DEG,
             times_s=times_s,
             values=values,
             lines=lines,

@@ -28,9 +28,9 @@ from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
     ForeignMotion,
-    Note,
+    Measure,
+    PoseNote,
     Reader,
-    Unit,
     is_dense,
     motion_name,
     summarised,
@@ -64,12 +64,12 @@ _TIME_UNITS: Final = {
     **dict.fromkeys(["ns", "nsec", "nanos", "nanosecond", "nanoseconds"], 1e-9),
     **dict.fromkeys(["min", "minutes"], 60.0),
 }
-"""Unit of a time → seconds."""
+"""Measure of a time → seconds."""
 
 _ANGLE_UNITS: Final = {
-    **dict.fromkeys(["deg", "degs", "degree", "degrees", "°"], Unit.DEG),
-    **dict.fromkeys(["rad", "rads", "radian", "radians"], Unit.RAD),
-    **dict.fromkeys(["us", "µs", "μs", "usec", "microsecond", "microseconds"], Unit.US),
+    **dict.fromkeys(["deg", "degs", "degree", "degrees", "°"], Measure.DEG),
+    **dict.fromkeys(["rad", "rads", "radian", "radians"], Measure.RAD),
+    **dict.fromkeys(["us", "µs", "μs", "usec", "microsecond", "microseconds"], Measure.US),
 }
 _OTHER_UNITS: Final = frozenset(
     {"mm", "cm", "mrad", "ticks", "steps", "counts", "turns", "revs", "rpm", "pct", "percent", "%",
@@ -116,7 +116,7 @@ def _words(name: str) -> list[str]:
 def is_time_name(name: str) -> bool:
     """Return whether a column is about time, and therefore no joint."""
     base, unit = name_and_unit(name)
-    if _ANGLE_UNITS.get(unit) in {Unit.DEG, Unit.RAD}:
+    if _ANGLE_UNITS.get(unit) in {Measure.DEG, Measure.RAD}:
         return False
     return _plain(base) in _TIMES or not _TIME_WORDS.isdisjoint(_words(base))
 
@@ -399,7 +399,7 @@ def _wide(table: CsvRows) -> ForeignMotion:
     )
 
 
-def unit_of_column(path: Path, line: int | None, name: str) -> tuple[str, Unit]:
+def unit_of_column(path: Path, line: int | None, name: str) -> tuple[str, Measure]:
     """Return joint and unit of a column; a name without a unit is in degrees.
 
     Raises `InputError` for a unit that is not known.
@@ -408,7 +408,7 @@ def unit_of_column(path: Path, line: int | None, name: str) -> tuple[str, Unit]:
     if unit and unit not in _ANGLE_UNITS:
         reason = f"column {name!r:.60}: unit {unit!r:.40} is not read; deg, rad or us are"
         raise InputError(f"{reason}. Convert it, or remove the column", path=path, line=line)
-    return (base, _ANGLE_UNITS[unit]) if unit else (name, Unit.DEG)
+    return (base, _ANGLE_UNITS[unit]) if unit else (name, Measure.DEG)
 
 
 def _cells(
@@ -471,7 +471,7 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
         path=lines.path,
         name=motion_name(lines.path),
         channels=channels,
-        notes={time_s: Note(ease=ease) for time_s, ease in eases.items()},
+        notes={time_s: PoseNote(ease=ease) for time_s, ease in eases.items()},
         comments=(
             f"Imported from {lines.path.name} (CSV, one row per key).",
             *summarised([f"column {name}" for name in extra]),
@@ -480,7 +480,7 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     )
 
 
-def _channel(joint: str, unit: Unit, samples: dict[float, tuple[float, int]]) -> Channel:
+def _channel(joint: str, unit: Measure, samples: dict[float, tuple[float, int]]) -> Channel:
     times_s = sorted(samples)
     return Channel(
         name=joint,

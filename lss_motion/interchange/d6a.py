@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError
 from lss_motion.interchange.reader import (
     VALUES_MAX,
+    Measure,
     Pose,
     Reader,
-    Unit,
     motion_name,
     motion_of_poses,
 )
@@ -110,7 +110,7 @@ def _d6a_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
             path,
             motion_name(path),
             poses,
-            unit_of=lambda _: Unit.US if is_pulse else Unit.DEG,
+            unit_of=lambda _: Measure.US if is_pulse else Measure.DEG,
             comments=(f"Imported from {path.name} (Hiwonder action group); {scale}.",),
         ),
     )

@@ -1,4 +1,4 @@
-"""Samples of a plan → text for other tools: CSV, ROS JointTrajectory, Blender.
+"""PlanSamples of a plan → text for other tools: CSV, ROS JointTrajectory, Blender.
 
 All formats use the joint names of the robot, and joint angles in degrees (ROS: radians).
 """
@@ -44,7 +44,7 @@ class Sampled(Protocol):
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray: ...
 
 
-class Samples(Struct, frozen=True, kw_only=True):
+class PlanSamples(Struct, frozen=True, kw_only=True):
     """A plan sampled at even times: angles and speeds, (n, joints)."""
 
     name: str
@@ -55,7 +55,7 @@ class Samples(Struct, frozen=True, kw_only=True):
     speeds_deg_s: FloatArray
 
     @classmethod
-    def of(cls, plan: Sampled, until_s: float, rate_hz: float) -> Samples:
+    def of(cls, plan: Sampled, until_s: float, rate_hz: float) -> PlanSamples:
         """Return samples of a plan, one every `1 / rate_hz`, to `until_s` or just beyond it."""
         times_s = np.arange(int(np.ceil(until_s * rate_hz - 1e-9)) + 1) / rate_hz
         return cls(
@@ -68,23 +68,23 @@ class Samples(Struct, frozen=True, kw_only=True):
         )
 
 
-def exported(samples: Samples, format_name: str) -> str:
+def exported(samples: PlanSamples, format_name: str) -> str:
     """Return the text of one of `EXPORT_NAMES`."""
     return _WRITERS[format_name](samples)
 
 
-def _table(samples: Samples) -> str:
+def _table(samples: PlanSamples) -> str:
     header = ["t_s", *samples.joints]
     return _csv(header, [f"{time_s:.6f}" for time_s in samples.times_s.tolist()], samples)
 
 
-def _blender_table(samples: Samples) -> str:
+def _blender_table(samples: PlanSamples) -> str:
     header = ["frame", *(f"{name}_deg" for name in samples.joints)]
     frames = [str(frame) for frame in range(len(samples.times_s))]
     return f"# fps: {samples.rate_hz:g}\n{_csv(header, frames, samples)}"
 
 
-def _csv(header: Sequence[str], firsts: Sequence[str], samples: Samples) -> str:
+def _csv(header: Sequence[str], firsts: Sequence[str], samples: PlanSamples) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
@@ -93,7 +93,7 @@ def _csv(header: Sequence[str], firsts: Sequence[str], samples: Samples) -> str:
     return out.getvalue()
 
 
-def _blender_json(samples: Samples) -> str:
+def _blender_json(samples: PlanSamples) -> str:
     """Return version 2 of the format of the add-on, with positions in tenths of a degree."""
     tenths = np.round(10.0 * samples.angles_deg).astype(np.int64).tolist()
     ids = [str(index) for index in range(len(samples.joints))]
@@ -110,7 +110,7 @@ def _blender_json(samples: Samples) -> str:
     return json.dumps(content, ensure_ascii=False) + "\n"
 
 
-def _ros(samples: Samples) -> str:
+def _ros(samples: PlanSamples) -> str:
     """Return a trajectory_msgs/JointTrajectory message."""
     names = ", ".join(json.dumps(name, ensure_ascii=False) for name in samples.joints)
     lines = [f"joint_names: [{names}]", "points:"]
@@ -134,7 +134,7 @@ def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{round(value, RADIAN_DECIMALS) + 0.0}" for value in values)
 
 
-_WRITERS: Final[Mapping[str, Callable[[Samples], str]]] = {
+_WRITERS: Final[Mapping[str, Callable[[PlanSamples], str]]] = {
     "csv": _table,
     "ros": _ros,
     "blender-csv": _blender_table,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.interchange.recorded import Curve
+    from lss_motion.interchange.recorded import Recorded
 
     FloatArray = NDArray[np.float64]
     IntArray = NDArray[np.intp]
@@ -90,14 +90,14 @@ WEIGHT_LEAST: Final = 0.2
 
 
 def fitted_together(
-    curves: Sequence[Curve], instants_max: int, margin_deg: float
-) -> tuple[list[Curve], list[IntArray]] | None:
+    curves: Sequence[Recorded], instants_max: int, margin_deg: float
+) -> tuple[list[Recorded], list[IntArray]] | None:
     """Return the curves with fitted angles, and the keys of each.
 
     The error at every sample stays within the tolerance less `margin_deg`, and a spline keeps its
     limits and its range. None if that takes more than `instants_max` instants at first.
     """
-    best: tuple[list[Curve], IntArray] | None = None
+    best: tuple[list[Recorded], IntArray] | None = None
     for start_s in STARTS_S:
         most = instants_max if best is None else min(instants_max, len(best[1]) - 1)
         found = _refined(curves, start_s, most, margin_deg)
@@ -119,8 +119,8 @@ def fitted_together(
 
 
 def _refined(
-    curves: Sequence[Curve], start_s: float, most: int, margin_deg: float
-) -> tuple[list[Curve], IntArray] | None:
+    curves: Sequence[Recorded], start_s: float, most: int, margin_deg: float
+) -> tuple[list[Recorded], IntArray] | None:
     """Return curves that fit with keys at the same instants; None if `most` are not enough."""
     keys = _even(curves[0].times_s, start_s)
     for _ in range(REFINEMENTS_MAX):
@@ -149,12 +149,12 @@ def _even(times_s: FloatArray, step_s: float) -> IntArray:
     return np.unique([*np.searchsorted(times_s, even_s[:-1]).tolist(), len(times_s) - 1])
 
 
-def _fit_all(curve: Curve, keys: IntArray) -> tuple[Curve, FloatArray]:
+def _fit_all(curve: Recorded, keys: IntArray) -> tuple[Recorded, FloatArray]:
     """Return the curve with the angles that fit best, and its errors."""
     parameters = _Parameters.of(curve, keys)
     spans = np.repeat(np.arange(len(keys) - 1), _counts(keys))
     weights = np.ones(len(curve.times_s))
-    best: tuple[float, Curve, FloatArray] | None = None
+    best: tuple[float, Recorded, FloatArray] | None = None
     values = parameters.begin()
     for _ in range(GLOBAL_WEIGHTINGS):
         values = values + parameters.step(values, weights, parameters.inner)
@@ -172,7 +172,9 @@ def _fit_all(curve: Curve, keys: IntArray) -> tuple[Curve, FloatArray]:
     return best[1], best[2]
 
 
-def without_spare_keys(curve: Curve, keys: IntArray, margin_deg: float) -> tuple[Curve, IntArray]:
+def without_spare_keys(
+    curve: Recorded, keys: IntArray, margin_deg: float
+) -> tuple[Recorded, IntArray]:
     """Return fewer of the `keys` and the curve with their fitted angles.
 
     The error at every sample stays within the tolerance less `margin_deg` wherever an angle
@@ -193,8 +195,8 @@ def without_spare_keys(curve: Curve, keys: IntArray, margin_deg: float) -> tuple
 
 
 def moved_keys(
-    curve: Curve, keys: IntArray, places: IntArray, steps: Sequence[int], margin_deg: float
-) -> tuple[Curve, IntArray]:
+    curve: Recorded, keys: IntArray, places: IntArray, steps: Sequence[int], margin_deg: float
+) -> tuple[Recorded, IntArray]:
     """Return the keys, each moved by one of `steps` among `places` if that reduces the errors.
 
     The keys are among the `places`.
@@ -239,7 +241,7 @@ class _Trial:
 
     def __init__(
         self,
-        curve: Curve,
+        curve: Recorded,
         keys: IntArray,
         tried: IntArray,
         aims: IntArray | None = None,
@@ -268,14 +270,14 @@ class _Trial:
         free[np.clip(places, 0, len(old) - 1)] = True
         self._free = free & self._parameters.inner
 
-    def moved(self) -> tuple[Curve, FloatArray]:
+    def moved(self) -> tuple[Recorded, FloatArray]:
         """Return the curve with the angles of least squares, and its errors."""
         weights = np.ones(len(self._curve.times_s))
         values = self._old + self._parameters.step(self._old, weights, self._free)
         made = self._parameters.curve(values)
         return made, made.error_deg(self._keys)
 
-    def removed(self, error_max_deg: float) -> tuple[BoolArray, Curve]:
+    def removed(self, error_max_deg: float) -> tuple[BoolArray, Recorded]:
         """Return which keys can be removed, and the curve with the angles without those."""
         parameters = self._parameters
         weights = np.ones(len(self._curve.times_s))
@@ -315,11 +317,11 @@ class _Parameters(ABC):
     The value at a sample of span n depends on the parameters n to n + 3.
     """
 
-    def __init__(self, recording: Curve, keys: IntArray) -> None:
+    def __init__(self, recording: Recorded, keys: IntArray) -> None:
         self.recording, self.keys = recording, keys
 
     @classmethod
-    def of(cls, curve: Curve, keys: IntArray) -> _Parameters:
+    def of(cls, curve: Recorded, keys: IntArray) -> _Parameters:
         """Return them for keys of which the first and the last are at the ends."""
         return (_Splines if curve.ease is Interpolation.SPLINE else _Shapes)(curve, keys)
 
@@ -339,7 +341,7 @@ class _Parameters(ABC):
         """Return parameters to begin a fit with."""
 
     @abstractmethod
-    def curve(self, values: FloatArray) -> Curve:
+    def curve(self, values: FloatArray) -> Recorded:
         """Return the recording with the angles of the keys for these parameters."""
 
     @abstractmethod
@@ -378,7 +380,7 @@ class _Parameters(ABC):
 class _Splines(_Parameters):
     """The coefficients of B-splines; a coefficient counts for four spans."""
 
-    def __init__(self, recording: Curve, keys: IntArray) -> None:
+    def __init__(self, recording: Recorded, keys: IntArray) -> None:
         super().__init__(recording, keys)
         knots_s = recording.times_s[keys]
         padded_s = np.concatenate([np.repeat(knots_s[:1], 3), knots_s, np.repeat(knots_s[-1:], 3)])
@@ -427,7 +429,7 @@ class _Splines(_Parameters):
         ends = self.recording.key_values[[0, -1]]
         return np.repeat(ends, [len(self.keys), 2])
 
-    def curve(self, values: FloatArray) -> Curve:
+    def curve(self, values: FloatArray) -> Recorded:
         angles = self.recording.key_values.copy()
         angles[self.keys] = self.at_samples(values)[self.keys]
         return self.recording.with_values(angles)
@@ -451,7 +453,7 @@ class _Shapes(_Parameters):
     def begin(self) -> FloatArray:
         return self.present()
 
-    def curve(self, values: FloatArray) -> Curve:
+    def curve(self, values: FloatArray) -> Recorded:
         angles = self.recording.key_values.copy()
         angles[self.keys] = np.clip(values[1:-1], *self.recording.range_deg)
         return self.recording.with_values(angles)

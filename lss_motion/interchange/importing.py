@@ -32,8 +32,8 @@ from lss_motion.interchange.lerobot import LEROBOT
 from lss_motion.interchange.mapping import UNWRAP_OFFER, MotionMap, mapped
 from lss_motion.interchange.opencat import OPENCAT
 from lss_motion.interchange.poses import POSES
-from lss_motion.interchange.reader import DIGITS, ForeignMotion, LabelTrack, Note, RefusedMotion
-from lss_motion.interchange.recorded import Limits, interpolated
+from lss_motion.interchange.reader import DIGITS, ForeignMotion, LabelTrack, PoseNote, RefusedMotion
+from lss_motion.interchange.recorded import JointLimits, interpolated
 from lss_motion.interchange.reduce import TOLERANCE_DEG, every_sample, reduced
 from lss_motion.interchange.robotis import ROBOTIS_PAGES, ROBOTIS_TEXT
 from lss_motion.interchange.ros import ROS
@@ -298,7 +298,7 @@ def _left_to_servos(script: ForeignMotion, robot: Robot) -> ForeignMotion:
         if joint is not None and len(channel.times_s) > 1 and joint.drive == "timed":
             ends_s.append(_rests_s(channel, joint))
     last_s = max(float(channel.times_s[-1]) for channel in script.channels)
-    note = script.notes.get(last_s, Note())
+    note = script.notes.get(last_s, PoseNote())
     hold_s = max(note.hold_s, math.ceil((max(ends_s) - last_s) * 1e3) / 1e3)
     comments = [comment for comment in script.comments if comment != CONSTANT_SPEED]
     comments.append("Each servo carries its commands out by itself (ease: command).")
@@ -354,9 +354,9 @@ def clipped(motion: ForeignMotion, robot: Robot) -> ForeignMotion:
     return replace(motion, channels=tuple(channels), comments=(*motion.comments, *comments))
 
 
-def _limits(robot: Robot) -> dict[str, Limits]:
+def _limits(robot: Robot) -> dict[str, JointLimits]:
     return {
-        name: Limits(
+        name: JointLimits(
             speed_deg_s=joint.speed_max_deg_s,
             accel_deg_s2=joint.accel_max_deg_s2,
             range_deg=(joint.position_min_deg, joint.position_max_deg),

@@ -29,9 +29,9 @@ from lss_motion.interchange.reader import (
     FPS_MAX,
     VALUES_MAX,
     Channel,
+    Measure,
     Pose,
     Reader,
-    Unit,
     motion_label,
     motion_of_poses,
     recording,
@@ -193,9 +193,9 @@ def _values(fields: JsonFields, listed: object, where: str) -> tuple[dict[str, f
     return values, left_out
 
 
-def _unit(name: str) -> Unit:
+def _unit(name: str) -> Measure:
     # A hand opens by a share from 0 to 1; all other joints rotate.
-    return Unit.RAW if name.endswith(".hand") else Unit.RAD
+    return Measure.RAW if name.endswith(".hand") else Measure.RAD
 
 
 def _is_pypot(data: bytes) -> bool:
@@ -266,7 +266,7 @@ def _blender_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
     channels = [
         Channel(
             name=name,
-            unit=Unit.DEG if is_exported else Unit.RAW,
+            unit=Measure.DEG if is_exported else Measure.RAW,
             times_s=np.round(frames / fps, DIGITS),
             values=values / 10.0 if is_exported else values,
         )

@@ -425,7 +425,7 @@ LAYERS: Final = ("phrases", "words", "phonemes")
 
 
 @dataclass(slots=True)
-class _Content:
+class _TimingContent:
     """The layers of all tracks, in the order of the file."""
 
     lines: TextLines
@@ -452,7 +452,7 @@ def _is_xlights(data: bytes) -> bool:
 
 def _xlights_motions(path: Path, data: bytes) -> tuple[LabelTrack | RefusedMotion, ...]:
     lines = TextLines.of(path, data)
-    content = _Content(lines)
+    content = _TimingContent(lines)
     parse_xml(lines, content.start, lambda _: None, lambda _: None)
     found = []
     for name, layers in content.tracks:

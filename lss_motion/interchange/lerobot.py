@@ -19,8 +19,8 @@ from lss_motion.interchange.reader import (
     FPS_MAX,
     VALUES_MAX,
     Channel,
+    Measure,
     Reader,
-    Unit,
     recording,
     thinned,
 )
@@ -66,7 +66,7 @@ def _lerobot_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         channels: list[Channel] = []
         for index, name in enumerate(names):
             own_s, own = thinned(times_s, values[rows, index])
-            channels.append(Channel(name=name, unit=Unit.RAW, times_s=own_s, values=own))
+            channels.append(Channel(name=name, unit=Measure.RAW, times_s=own_s, values=own))
         motions.append(recording(path, f"episode {episode:g}", channels, comments=about))
     return tuple(motions)
 

@@ -18,13 +18,13 @@ from lss_motion.errors import InputError
 from lss_motion.files.keys import FILE_VERSION, VERSION, Check, Field, FileModel, Name, Version
 from lss_motion.files.texts import known_names, printable
 from lss_motion.files.validation import validate
-from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.files.yaml_source import Mistake, read_yaml
 from lss_motion.interchange.reader import (
     BROADCAST_ID,
     DEG_PER_UNIT,
     TENTHS_PER_DEG,
     Channel,
-    Unit,
+    Measure,
     summarised,
 )
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (read when it is checked)
@@ -78,7 +78,7 @@ class MapEntry(FileModel, title="mapped joint"):
     )
     skip: bool = Field(default=False, description="Leave this joint out.")
     unit: Literal["deg", "rad", "us", "m", "raw"] | None = Field(
-        default=None, description="Unit of the values. Default: the unit of the file."
+        default=None, description="Measure of the values. Default: the unit of the file."
     )
     sign: Annotated[int, Check(_check_sign)] = Field(
         default=1, description="-1 if the joint of the robot turns the other way."
@@ -161,7 +161,7 @@ def mapped(
         elif joint is not None and channel.servo_id is not None:
             values = np.array([joint.joint_deg(value) for value in values.tolist()])
         name = (entry.name if entry else None) or (joint.name if joint else channel.name)
-        channels.append(replace(own, name=name, unit=Unit.DEG, values=values, servo_id=None))
+        channels.append(replace(own, name=name, unit=Measure.DEG, values=values, servo_id=None))
     reasons += _name_problems(motion, channels)
     if reasons:
         errors = [InputError(reason, path=motion.path) for reason in reasons]
@@ -222,15 +222,15 @@ def _joint_with_id(channel: Channel, robot: Robot) -> Joint | None:
     return found[0] if len(found) == 1 else None
 
 
-def _unit(channel: Channel, entry: MapEntry | None) -> tuple[Unit, str]:
+def _unit(channel: Channel, entry: MapEntry | None) -> tuple[Measure, str]:
     """Return the unit of a channel, and the reason why it cannot be used, or ""."""
-    unit = Unit(entry.unit) if entry is not None and entry.unit else channel.unit
+    unit = Measure(entry.unit) if entry is not None and entry.unit else channel.unit
     shown = f"joint {channel.name!r:.60}"
     if unit in DEG_PER_UNIT or (
-        unit is not Unit.RAD_OR_M and entry is not None and entry.scale is not None
+        unit is not Measure.RAD_OR_M and entry is not None and entry.scale is not None
     ):
         return unit, ""
-    if unit is Unit.RAD_OR_M:
+    if unit is Measure.RAD_OR_M:
         return unit, (
             f"{shown} may be a sliding joint, and the file does not define whether its values are "
             "radians or metres; add to a map file `unit: rad`, or `unit: m` and a `scale` in "
@@ -243,23 +243,23 @@ def _unit(channel: Channel, entry: MapEntry | None) -> tuple[Unit, str]:
 
 
 _UNIT_WORDS: Final = {
-    Unit.US: "microseconds of a servo pulse",
-    Unit.M: "metres",
-    Unit.RAW: "units of its own robot",
+    Measure.US: "microseconds of a servo pulse",
+    Measure.M: "metres",
+    Measure.RAW: "units of its own robot",
 }
 
 
 def _check_map(motion_map: MotionMap, motion: ForeignMotion, robot: Robot) -> None:
     names = [channel.name for channel in motion.channels]
-    problems: list[Problem] = []
+    problems: list[Mistake] = []
     for name, entry in motion_map.entries.items():
         if name not in names:
             reason = f"the motion has no joint {name!r:.60}; {known_names(name, names)}"
-            problems.append(Problem(("joints", name), reason))
+            problems.append(Mistake(("joints", name), reason))
         elif entry.name is not None and entry.name not in robot.joints:
             known = known_names(entry.name, robot.joints)
             problems.append(
-                Problem(
+                Mistake(
                     ("joints", name, "name"),
                     f"robot {robot.name!r} has no joint {entry.name!r}; {known}",
                 )
@@ -354,10 +354,10 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
             words.append("guess: its servo has this id")
         if not joint:
             words.append("the robot has no joint of that name: skipped unless you name one")
-        if channel.unit is Unit.US:
+        if channel.unit is Measure.US:
             fields += [f"scale: {PULSE_DEG_PER_US}", f"offset_deg: {PULSE_OFFSET_DEG}"]
             words.append("guess: 180 deg over 500 to 2500 us")
-        elif channel.unit is Unit.RAD_OR_M:
+        elif channel.unit is Measure.RAD_OR_M:
             words.append("add unit: rad, or unit: m and scale: degrees per metre")
         elif channel.unit not in DEG_PER_UNIT:
             words.append("add scale: degrees per unit")
@@ -372,7 +372,7 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
     return "\n".join([*lines, ""])
 
 
-_TEMPLATE_UNITS: Final = {Unit.RAD_OR_M: "rad or m", Unit.RAW: "units of its own robot"}
+_TEMPLATE_UNITS: Final = {Measure.RAD_OR_M: "rad or m", Measure.RAW: "units of its own robot"}
 
 
 def _guess(channel: Channel, robot: Robot) -> str:

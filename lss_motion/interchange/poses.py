@@ -40,9 +40,9 @@ from lss_motion.interchange.fields import (
 from lss_motion.interchange.reader import (
     FPS_MAX,
     VALUES_MAX,
+    Measure,
     Pose,
     Reader,
-    Unit,
     motion_label,
     motion_name,
     motion_of_poses,
@@ -75,9 +75,9 @@ HOLDS: Final = {
 }
 NAMES: Final = ("name", "label")
 VALUES: Final = {
-    **dict.fromkeys(["deg", "joints", "angles", "angles_deg", "positions", "pose"], Unit.DEG),
-    **dict.fromkeys(["rad", "angles_rad"], Unit.RAD),
-    "us": Unit.US,
+    **dict.fromkeys(["deg", "joints", "angles", "angles_deg", "positions", "pose"], Measure.DEG),
+    **dict.fromkeys(["rad", "angles_rad"], Measure.RAD),
+    "us": Measure.US,
 }
 
 _JSON_ROW: Final = re.compile(rb"\[\s*(\{|\[\s*[-+\d])")
@@ -133,13 +133,13 @@ class _Poses:
 
     path: Path
     poses: list[Pose] = field(default_factory=list)
-    units: dict[str, Unit] = field(default_factory=dict)
+    units: dict[str, Measure] = field(default_factory=dict)
     kind: str = ""
     values_count: int = 0
 
     def add(
         self,
-        values: dict[str, tuple[float, Unit]],
+        values: dict[str, tuple[float, Measure]],
         times: dict[str, float],
         *,
         label: str = "",
@@ -219,7 +219,7 @@ def _from_json(path: Path, data: bytes) -> ForeignMotion:
     return found.motion(motion_label(top.get("name")), left_out)
 
 
-Entry = tuple[dict[str, tuple[float, Unit]], dict[str, float], str]
+Entry = tuple[dict[str, tuple[float, Measure]], dict[str, float], str]
 
 
 def _entry(
@@ -227,8 +227,8 @@ def _entry(
 ) -> Entry:
     """Return values, times and label of one pose."""
     if isinstance(entry, list):
-        return _listed(fields, entry, place, names, Unit.DEG), {}, ""
-    values: dict[str, tuple[float, Unit]] = {}
+        return _listed(fields, entry, place, names, Measure.DEG), {}, ""
+    values: dict[str, tuple[float, Measure]] = {}
     times: dict[str, float] = {}
     label = ""
     for name, value in fields.mapping(entry, place).items():
@@ -257,8 +257,8 @@ def _entry(
 
 
 def _listed(
-    fields: JsonFields, listed: list[object], place: str, names: object, unit: Unit
-) -> dict[str, tuple[float, Unit]]:
+    fields: JsonFields, listed: list[object], place: str, names: object, unit: Measure
+) -> dict[str, tuple[float, Measure]]:
     """Return a list of angles by the names of the joints, or by their numbers from 1."""
     own = names if isinstance(names, list) else [f"J{n}" for n in range(1, len(listed) + 1)]
     if len(own) != len(listed) or len(set(own)) < len(own):
@@ -279,7 +279,7 @@ def _from_rows(lines: TextLines) -> ForeignMotion:
     seconds = INSTANTS | DURATIONS | HOLDS
     found = _Poses(lines.path)
     for number, row in table.rows():
-        values: dict[str, tuple[float, Unit]] = {}
+        values: dict[str, tuple[float, Measure]] = {}
         own: dict[str, float] = {}
         label = ""
         for name, cell in zip(table.header, row, strict=True):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 TENTHS_PER_DEG: Final = 10.0
-"""Unit of `D` of an LSS (FACTS.md C1)."""
+"""Measure of `D` of an LSS (FACTS.md C1)."""
 
 DIGITS: Final = 6
 """Decimals of times and angles: 1 us, and far below the resolution of a servo. Rounding also
@@ -51,8 +51,8 @@ DENSE_MIN: Final = 12
 """Fewer samples than this are poses, even if they are close. Chosen: Robotis pages have up to 7."""
 
 
-class Unit(StrEnum):
-    """Unit of the values of a channel, as far as the file defines it."""
+class Measure(StrEnum):
+    """Measure of the values of a channel, as far as the file defines it."""
 
     DEG = "deg"
     RAD = "rad"
@@ -66,7 +66,10 @@ class Unit(StrEnum):
     """ROS and Webots use radians or, for sliding joints, metres; the file does not define which."""
 
 
-DEG_PER_UNIT: Final[Mapping[Unit, float]] = {Unit.DEG: 1.0, Unit.RAD: math.degrees(1.0)}
+DEG_PER_UNIT: Final[Mapping[Measure, float]] = {
+    Measure.DEG: 1.0,
+    Measure.RAD: math.degrees(1.0),
+}
 """The units that are angles."""
 
 BROADCAST_ID: Final = 254
@@ -75,16 +78,16 @@ BROADCAST_ID: Final = 254
 _PRISMATIC: Final = re.compile(r"lift|prismatic|linear|slid|elevat|telescop|finger", re.IGNORECASE)
 
 
-def unit_of_ros_joint(name: str) -> Unit:
+def unit_of_ros_joint(name: str) -> Measure:
     """Return radians, or `RAD_OR_M` if the name is that of a sliding joint."""
-    return Unit.RAD_OR_M if _PRISMATIC.search(name) else Unit.RAD
+    return Measure.RAD_OR_M if _PRISMATIC.search(name) else Measure.RAD
 
 
 class Channel(Struct, frozen=True, kw_only=True, eq=False):
     """One joint of the file: one value or more, at increasing times."""
 
     name: str
-    unit: Unit
+    unit: Measure
     times_s: FloatArray
     values: FloatArray
     servo_id: int | None = None
@@ -110,7 +113,7 @@ class Channel(Struct, frozen=True, kw_only=True, eq=False):
         return int(self.lines[before if is_before else after]) or None
 
 
-class Note(Struct, frozen=True, kw_only=True):
+class PoseNote(Struct, frozen=True, kw_only=True):
     """Properties of the pose at one time, besides its angles."""
 
     hold_s: float = 0.0
@@ -129,7 +132,7 @@ class ForeignMotion(Struct, frozen=True, kw_only=True, eq=False):
     path: Path
     name: str
     channels: tuple[Channel, ...]
-    notes: Mapping[float, Note]
+    notes: Mapping[float, PoseNote]
     ease: Interpolation = Interpolation.SMOOTH
     comments: tuple[str, ...] = ()
     is_recording: bool = False
@@ -153,7 +156,7 @@ class ForeignMotion(Struct, frozen=True, kw_only=True, eq=False):
         return tuple(self._keyframe(at_s, at_times[at_s]) for at_s in sorted(at_times))
 
     def _keyframe(self, at_s: float, deg: dict[str, float]) -> Keyframe:
-        note = self.notes.get(at_s, Note())
+        note = self.notes.get(at_s, PoseNote())
         return Keyframe(
             at_s=at_s,
             deg=deg,
@@ -269,7 +272,7 @@ def motion_of_poses(
     name: str,
     poses: Sequence[Pose],
     *,
-    unit_of: Callable[[str], Unit] = lambda _: Unit.DEG,
+    unit_of: Callable[[str], Measure] = lambda _: Measure.DEG,
     comments: Sequence[str] = (),
 ) -> ForeignMotion:
     """Return the motion through `poses`; raise `InputError` if their times do not increase.
@@ -302,7 +305,7 @@ def motion_of_poses(
             for joint, (own_times_s, values, lines) in columns.items()
         ),
         notes={
-            at_s: Note(hold_s=round(pose.hold_s, DIGITS), label=motion_label(pose.label))
+            at_s: PoseNote(hold_s=round(pose.hold_s, DIGITS), label=motion_label(pose.label))
             for at_s, pose in zip(times_s, poses, strict=True)
             if pose.hold_s or pose.label
         },

@@ -51,15 +51,15 @@ EXCESS_SLACK: Final = 5e-5
 """Half of the tolerance of the planner for rounding (`FEASIBLE_RATIO`)."""
 
 
-class Limits(Struct, frozen=True, kw_only=True):
-    """Limits of a joint: speed, acceleration and range."""
+class JointLimits(Struct, frozen=True, kw_only=True):
+    """JointLimits of a joint: speed, acceleration and range."""
 
     speed_deg_s: float
     accel_deg_s2: float
     range_deg: tuple[float, float]
 
 
-class Curve(Struct, frozen=True, kw_only=True, eq=False):
+class Recorded(Struct, frozen=True, kw_only=True, eq=False):
     """The recording of one joint, the tolerance of its keys, and the limits of a spline.
 
     `wanted` are the angles that a curve should have at the samples, `key_values` those of the keys
@@ -93,7 +93,7 @@ class Curve(Struct, frozen=True, kw_only=True, eq=False):
         has_range = self.range_deg != (-math.inf, math.inf)
         return has_range or math.isfinite(self.speed_max_deg_s[0])
 
-    def with_values(self, key_values: FloatArray) -> Curve:
+    def with_values(self, key_values: FloatArray) -> Recorded:
         """Return the same recording with other angles of keys."""
         return replace(self, key_values=key_values)
 
@@ -139,8 +139,8 @@ class Curve(Struct, frozen=True, kw_only=True, eq=False):
 
 
 def curve_of(
-    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: Limits | None
-) -> Curve:
+    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: JointLimits | None
+) -> Recorded:
     """Return the recording of one joint; a spline keeps the `limit` where the recording does."""
     times_s, values = channel.times_s, channel.values
     key_values = values
@@ -158,7 +158,7 @@ def curve_of(
             low_deg if key_values.min() >= low_deg else -math.inf,
             high_deg if key_values.max() <= high_deg else math.inf,
         )
-    return Curve(
+    return Recorded(
         times_s=times_s,
         values=values,
         wanted=key_values,

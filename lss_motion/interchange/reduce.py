@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted
 from lss_motion.interchange.fitted_keys import fitted_together, without_spare_keys
-from lss_motion.interchange.reader import DIGITS, Unit
+from lss_motion.interchange.reader import DIGITS, Measure
 from lss_motion.interchange.recorded import (
     BSPLINE_SHIFT_MAX_DEG,
     bspline_values,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.interchange.reader import Channel, ForeignMotion
-    from lss_motion.interchange.recorded import Curve, Limits
+    from lss_motion.interchange.recorded import JointLimits, Recorded
 
     FloatArray = NDArray[np.float64]
     IntArray = NDArray[np.intp]
@@ -72,7 +72,7 @@ SWEEPS_MAX: Final = 12
 """Rounds of removing keys. Measured: the last rounds remove less than 0.1 % of the keys."""
 
 
-def rough_keys(curve: Curve) -> IntArray:
+def rough_keys(curve: Recorded) -> IntArray:
     """Return samples that fit as keys, close to the smallest number."""
     if float(np.abs(curve.values - curve.key_values[0]).max()) <= curve.tolerance_deg:
         return np.zeros(1, dtype=np.intp)
@@ -82,7 +82,7 @@ def rough_keys(curve: Curve) -> IntArray:
     return without_plain_keys(curve, keys, APART)
 
 
-def refined_keys(curve: Curve, keys: IntArray) -> IntArray:
+def refined_keys(curve: Recorded, keys: IntArray) -> IntArray:
     """Return fewer keys: keys are moved so that more of them can be removed."""
     if len(keys) == 1 or not curve.fits(keys):
         return keys
@@ -94,7 +94,7 @@ def refined_keys(curve: Curve, keys: IntArray) -> IntArray:
     return without_plain_keys(curve, keys, FAR_APART)
 
 
-def shared_keys(curves: SequenceOf[Curve], keys: SequenceOf[IntArray]) -> list[IntArray]:
+def shared_keys(curves: SequenceOf[Recorded], keys: SequenceOf[IntArray]) -> list[IntArray]:
     """Return keys at fewer different times: joints use the times of joints with more keys."""
     result = list(keys)
     taken_s = np.empty(0)
@@ -108,7 +108,7 @@ def shared_keys(curves: SequenceOf[Curve], keys: SequenceOf[IntArray]) -> list[I
     return result
 
 
-def _moved_to(curve: Curve, keys: IntArray, there: IntArray) -> IntArray:
+def _moved_to(curve: Recorded, keys: IntArray, there: IntArray) -> IntArray:
     """Return the keys with as many of them as fit at the samples `there`.
 
     A key moves to the nearest of these samples, else to the next on its other side, else it gives
@@ -146,7 +146,7 @@ def _both(_keys: IntArray, before: IntArray, after: IntArray) -> IntArray:
     return np.concatenate([before, after])
 
 
-def _grown(curve: Curve) -> IntArray:
+def _grown(curve: Recorded) -> IntArray:
     """Return keys that fit: first the rests, then the worst sample of every bad span."""
     is_candidate = curve.candidates
     rests = _rests(curve)
@@ -174,7 +174,7 @@ def _around(is_full: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(np.convolve(is_full, reach)[PULL:-PULL] > 0.0)
 
 
-def _rests(curve: Curve) -> IntArray:
+def _rests(curve: Recorded) -> IntArray:
     """Return both ends of every rest: the joint stays within half the tolerance."""
     times_s = curve.times_s
     ends: list[int] = []
@@ -191,7 +191,7 @@ def _rests(curve: Curve) -> IntArray:
     return np.array(ends, dtype=np.intp)
 
 
-def without_plain_keys(curve: Curve, keys: IntArray, apart: int = FAR_APART) -> IntArray:
+def without_plain_keys(curve: Recorded, keys: IntArray, apart: int = FAR_APART) -> IntArray:
     """Return the keys that are needed while all others stay; those `apart` are tried together."""
     for _ in range(SWEEPS_MAX):
         before = len(keys)
@@ -210,7 +210,7 @@ def without_plain_keys(curve: Curve, keys: IntArray, apart: int = FAR_APART) -> 
     return keys
 
 
-def _shifted(curve: Curve, keys: IntArray) -> IntArray:
+def _shifted(curve: Recorded, keys: IntArray) -> IntArray:
     """Return the keys, each moved to a sample nearby if that reduces the error."""
     is_candidate = curve.candidates
     keys = keys.copy()
@@ -287,7 +287,7 @@ def reduced(
     motion: ForeignMotion,
     tolerance_deg: float,
     ease: Interpolation,
-    limits: Mapping[str, Limits] | None = None,
+    limits: Mapping[str, JointLimits] | None = None,
 ) -> tuple[ForeignMotion, KeyFit]:
     """Return a recording in degrees reduced to few keys, at times of samples, and its `KeyFit`.
 
@@ -295,7 +295,7 @@ def reduced(
     keeps the `limits` of its joint, a spline through the keys keeps them too.
     Raises `InputError` if even as many keyframes as a sequence may have exceed the tolerance.
     """
-    assert all(channel.unit is Unit.DEG for channel in motion.channels), "map it first"
+    assert all(channel.unit is Measure.DEG for channel in motion.channels), "map it first"
     curves = [
         curve_of(channel, tolerance_deg, ease, (limits or {}).get(channel.name))
         for channel in motion.channels
@@ -339,8 +339,8 @@ def reduced(
 
 
 def _few_keys(
-    curves: SequenceOf[Curve], motion: ForeignMotion
-) -> tuple[list[Curve], list[IntArray]]:
+    curves: SequenceOf[Recorded], motion: ForeignMotion
+) -> tuple[list[Recorded], list[IntArray]]:
     """Return the curves with the angles of their keys, and the keys: fitted ones where fewer."""
     rough = [rough_keys(curve) for curve in curves]
     start_s, end_s, count = _span(motion, rough)
@@ -362,7 +362,9 @@ def _few_keys(
     return made, keys_of
 
 
-def _fewer(curves: list[Curve], keys_of: list[IntArray]) -> tuple[list[Curve], list[IntArray]]:
+def _fewer(
+    curves: list[Recorded], keys_of: list[IntArray]
+) -> tuple[list[Recorded], list[IntArray]]:
     """Return the keys of joints that were sampled together, fitted ones if there are fewer."""
     margin_deg = min(ROUNDING_DEG, 0.01 * curves[0].tolerance_deg)
     pairs = [
@@ -391,7 +393,7 @@ def every_sample(motion: ForeignMotion, ease: Interpolation) -> ForeignMotion:
     )
 
 
-def _rounded(curve: Curve, keys: IntArray) -> FloatArray:
+def _rounded(curve: Recorded, keys: IntArray) -> FloatArray:
     """Return the angles of the keys, rounded to the decimals that they need."""
     times_s, values = curve.times_s[keys], curve.key_values[keys]
     low_deg, high_deg = curve.range_deg

@@ -52,7 +52,7 @@ def ax_deg(position: float) -> float:
     return (position - POSITIONS_COUNT / 2) * RANGE_DEG / POSITIONS_COUNT
 
 
-class _Step(Struct, frozen=True):
+class _PageStep(Struct, frozen=True):
     """One step of a page, checked, at the speed of the page."""
 
     values: Mapping[str, float]
@@ -64,7 +64,7 @@ class _Step(Struct, frozen=True):
 def _page_motion(
     path: Path,
     page: _TextPage | _BinaryPage,
-    steps: Sequence[_Step],
+    steps: Sequence[_PageStep],
     scale: str,
     not_carried: Iterable[str],
 ) -> ForeignMotion:
@@ -236,7 +236,7 @@ def _row(lines: TextLines, text: str, number: int, count: int) -> list[float]:
 def _text_motion(
     lines: TextLines, page: _TextPage, enabled: list[int], outside: list[str]
 ) -> ForeignMotion:
-    steps: list[_Step] = []
+    steps: list[_PageStep] = []
     for index, (number, values) in enumerate(page.steps, start=1):
         pause_s, play_s = values[-2] / page.speed_ratio, values[-1] / page.speed_ratio
         if play_s <= 0.0 or pause_s < 0.0:
@@ -245,7 +245,7 @@ def _text_motion(
             if not 0.0 <= values[servo] < POSITIONS_COUNT:
                 lines.refuse(number, f"position {values[servo]:g} of servo {servo}: 0 to 1023")
         angles_deg = {f"ID{servo}": ax_deg(values[servo]) for servo in enabled}
-        steps.append(_Step(angles_deg, play_s, pause_s, number))
+        steps.append(_PageStep(angles_deg, play_s, pause_s, number))
     not_carried = [f"links to {page.links}"] if page.links else []
     not_carried += ["compliance and inertia"] if page.has_compliance else []
     not_carried += outside[:OUTSIDE_MAX]
@@ -400,14 +400,14 @@ def _binary_motion(path: Path, page: _BinaryPage, scale: _Scale) -> ForeignMotio
     if not header[22]:
         raise _error(path, page, "speed 0, so the page would not move")
     unit_s = UNIT_S * SPEED_NORMAL / header[22]
-    steps: list[_Step] = []
+    steps: list[_PageStep] = []
     left_out: list[str] = []
     for index, (positions, pause, time) in enumerate(page.steps, start=1):
         if not time:
             raise InputError(f"page {page.number}, step {index}: takes no time", path=path)
         values, odd = _values(positions, scale)
         left_out += odd
-        steps.append(_Step(values, play_s=time * unit_s, pause_s=pause * unit_s))
+        steps.append(_PageStep(values, play_s=time * unit_s, pause_s=pause * unit_s))
     links = [f"page {n} as {what}" for n, what in ((header[25], "next"), (header[26], "exit")) if n]
     not_carried: list[str] = []
     if scale.unused:

@@ -63,14 +63,14 @@ def yaml_trees(text: str, path: Path) -> Iterator[Node]:
 
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     try:
-        yield from _Builder(path, yaml.parse(text, Loader=loader)).documents()
+        yield from _NodeBuilder(path, yaml.parse(text, Loader=loader)).documents()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = None if mark is None else mark.line + 1
         raise InputError(syntax_reason(error), path=path, line=line) from error
 
 
-class _Builder:
+class _NodeBuilder:
     """Builds the tree from the events of the YAML parser."""
 
     def __init__(self, path: Path, events: Iterator[Any]) -> None:

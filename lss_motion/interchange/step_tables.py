@@ -33,10 +33,10 @@ from lss_motion.interchange.reader import (
     DIGITS,
     Channel,
     ForeignMotion,
-    Note,
+    Measure,
     Pose,
+    PoseNote,
     Reader,
-    Unit,
     motion_name,
     motion_of_poses,
     read_or_refused,
@@ -76,7 +76,7 @@ class _Frame:
 
 
 @dataclass(slots=True)
-class _Content:
+class _MaestroContent:
     """Channels and sequences of the file, in its order."""
 
     channels: list[Mapping[str, str]] = field(default_factory=list)
@@ -126,13 +126,13 @@ MAESTRO: Final = Reader("maestro", _is_maestro, _maestro_motions)
 """Reads `<UscSettings>`: one motion per sequence. Values are pulses, so a map is needed."""
 
 
-def _parsed(lines: TextLines) -> _Content:
-    content = _Content()
+def _parsed(lines: TextLines) -> _MaestroContent:
+    content = _MaestroContent()
     parse_xml(lines, partial(content.start, lines), content.end, content.add_text)
     return content
 
 
-def _names(content: _Content) -> list[str]:
+def _names(content: _MaestroContent) -> list[str]:
     """Return the name of each channel: its own name if that is unique, else `channel<n>`."""
     given = [channel.get("name", "").strip() for channel in content.channels]
     given += [""] * (CHANNELS_MAX - len(given))
@@ -143,7 +143,7 @@ def _names(content: _Content) -> list[str]:
 
 
 def _motion(
-    lines: TextLines, title: str, frames: list[_Frame], content: _Content, names: list[str]
+    lines: TextLines, title: str, frames: list[_Frame], content: _MaestroContent, names: list[str]
 ) -> ForeignMotion:
     poses: list[Pose] = []
     left_out: list[str] = []
@@ -175,7 +175,9 @@ def _motion(
         "A frame's targets are reached at the end of its duration.",
         *summarised(left_out),
     )
-    return motion_of_poses(lines.path, title, poses, unit_of=lambda _: Unit.US, comments=comments)
+    return motion_of_poses(
+        lines.path, title, poses, unit_of=lambda _: Measure.US, comments=comments
+    )
 
 
 PINS_COUNT: Final = 32
@@ -258,7 +260,7 @@ def _ssc32_motion(
             channels.append(
                 Channel(
                     name=pin,
-                    unit=Unit.DEG,
+                    unit=Measure.DEG,
                     times_s=own_times_s,
                     values=own_deg,
                     lines=own_lines.astype(np.int32),
@@ -268,7 +270,7 @@ def _ssc32_motion(
         path=lines.path,
         name=motion_name(lines.path, title),
         channels=tuple(channels),
-        notes=dict[float, Note](),
+        notes=dict[float, PoseNote](),
         comments=(
             f"Imported from {lines.path.name} (SSC-32 visual sequencer, {title!r:.60}).",
             *summarised(found),

@@ -76,7 +76,7 @@ ANGLE_DIGITS: Final = 2
 """Of the keys: a millisecond, and a hundredth of a degree."""
 
 
-class Follow(StrEnum):
+class VoiceFollow(StrEnum):
     """What of a sound a joint follows."""
 
     SYLLABLES = "syllables"
@@ -87,11 +87,11 @@ class Follow(StrEnum):
 class VoiceStyle(Struct, frozen=True, kw_only=True):
     """How a sound moves a joint: `near_deg` when it is silent, `far_deg` when it is loud.
 
-    With `Follow.STEREO` these are the angles for a sound from the left and from the right. None: an
+    With `VoiceFollow.STEREO` these are the angles for a sound from the left and the right. None: an
     end of the range of the joint.
     """
 
-    follow: Follow = Follow.SYLLABLES
+    follow: VoiceFollow = VoiceFollow.SYLLABLES
     mouth: MouthStyle = field(default_factory=MouthStyle)
     near_deg: float | None = None
     far_deg: float | None = None
@@ -123,7 +123,7 @@ def voice_sequence(part: SoundPart, robot: Robot, joint_name: str, style: VoiceS
     turns = _turns(part, style, joint, far_deg - near_deg)
     asked_deg = near_deg + np.array([turn.ratio for turn in turns]) * (far_deg - near_deg)
     angles_deg = asked_deg
-    if style.follow is Follow.SYLLABLES and style.is_fitted:
+    if style.follow is VoiceFollow.SYLLABLES and style.is_fitted:
         turns = centred(turns)
         angles_deg = fitted(turns, asked_deg, joint)
         turns = in_time(turns, angles_deg, joint)
@@ -154,7 +154,7 @@ def voice_comments(voiced: Voiced, part: SoundPart, style: VoiceStyle) -> list[s
     what = counted(sequence.keyframes, "key")
     (joint,) = sequence.keeps_time
     lines = [f"The {style.follow} of {part.path.name}{where}{span} as {what} of {joint}."]
-    if style.follow is not Follow.SYLLABLES:
+    if style.follow is not VoiceFollow.SYLLABLES:
         lines.append(f"As a layer: {{file: THIS_FILE, joints: [{joint}], mode: add}}")
     elif sequence.keyframes[0].deg[joint] == closed_deg:
         lines.append(f"As a layer: {{file: THIS_FILE, joints: [{joint}]}}")
@@ -194,11 +194,11 @@ def _turns(
     part: SoundPart, style: VoiceStyle, joint: Joint, swing_deg: float
 ) -> list[TurningPoint]:
     """Return where the joint turns, from 0 (silent, left) to 1 (loud, right)."""
-    if style.follow is Follow.SYLLABLES:
+    if style.follow is VoiceFollow.SYLLABLES:
         curve = loudness(part, style.mouth.band_hz)
         ratio = openings(curve, style.mouth)
         return syllable_keys(ratio, curve.step_s, style.mouth.opening_min)
-    if style.follow is Follow.ENERGY:
+    if style.follow is VoiceFollow.ENERGY:
         curve = loudness(part, style.mouth.band_hz, SWELL_S)
         return _swells(curve.level / curve.full, curve.step_s, joint, style, swing_deg)
     step_s, side = sides(part, style.mouth.band_hz, SIDE_S)
@@ -213,7 +213,7 @@ def _swells(
     per_s = speed_deg_s / (EASE_PEAK * abs(swing_deg))
     values = slowed(np.clip(ratio, 0.0, 1.0), step_s, per_s)
     # A layer begins and ends where the show below it is: at rest.
-    rest = 0.5 if style.follow is Follow.STEREO else 0.0
+    rest = 0.5 if style.follow is VoiceFollow.STEREO else 0.0
     places = np.arange(len(values))
     away = per_s * step_s * np.minimum(places, places[::-1])
     values = rest + np.clip(values - rest, -away, away)
@@ -314,7 +314,7 @@ def _keyframes(
 
 def _sound(part: SoundPart, style: VoiceStyle) -> tuple[Cue, ...]:
     """Return the sound of the show, if the sequence plays it."""
-    if style.follow is not Follow.SYLLABLES or not style.is_sounding:
+    if style.follow is not VoiceFollow.SYLLABLES or not style.is_sounding:
         return ()
     return (Cue(at_s=0.0, sound=str(part.path.absolute()), style=SoundStyle(is_bed=True)),)
 

@@ -16,7 +16,7 @@ from lss_motion.errors import InputError
 from lss_motion.files.keys import FILE_VERSION, VERSION, Field, FileModel, Name, Text, Version
 from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
-from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.files.yaml_source import Mistake, read_yaml
 from lss_motion.playing.discovery import family_of
 from lss_motion.playing.player.checks import expected_frame
 from lss_motion.playing.player.handshake import Item
@@ -308,7 +308,7 @@ def read_backup(path: Path) -> list[ServoBackup]:
     for index, servo in enumerate(servos):
         rows = storable(family_of(servo.model))
         problems += [
-            Problem(
+            Mistake(
                 ("servos", index, "settings", name),
                 f"unknown setting {name!r}; {known_names(name, rows)}",
             )

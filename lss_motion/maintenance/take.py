@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.interchange.importing import imported
-from lss_motion.interchange.reader import Channel, ForeignMotion, Unit
+from lss_motion.interchange.reader import Channel, ForeignMotion, Measure
 from lss_motion.show.model import Interpolation, Keyframe, Sequence
 from lss_motion.units import s_from_ns
 
@@ -212,7 +212,7 @@ class _SequenceBuilder:
             self.lead_out_s = max(self.lead_out_s, float(even[0][-1] - clean.times_s[-1]))
             lead_in_s = min(lead_in_s, float(even[0][0]))
             values = np.round(self._within(name, even[1]), 4)
-            channels.append(Channel(name=name, unit=Unit.DEG, times_s=even[0], values=values))
+            channels.append(Channel(name=name, unit=Measure.DEG, times_s=even[0], values=values))
         self.lead_in_s = max(self.lead_in_s, -lead_in_s)
         channels = [replace(c, times_s=np.round(c.times_s - lead_in_s, 6)) for c in channels]
         motion = ForeignMotion(

@@ -257,20 +257,20 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
     save(figure, path)
 
 
-class _Sample(Struct, frozen=True):
+class _GaitSample(Struct, frozen=True):
     times_s: FloatArray
     stance: Stance
     margin_mm: FloatArray
 
 
-def _sample(part: Paced) -> _Sample:
+def _sample(part: Paced) -> _GaitSample:
     count = int(min(SAMPLES_MAX, max(2, part.duration_s * SAMPLES_PER_S)))
     times_s = np.linspace(0.0, part.duration_s, count)
     stance = part.passage.at(times_s / part.pace_ratio)
-    return _Sample(times_s, stance, stance.margin_mm())
+    return _GaitSample(times_s, stance, stance.margin_mm())
 
 
-def _draw_from_above(axis: Any, gait: Gait, samples: list[_Sample]) -> None:  # noqa: ANN401  matplotlib
+def _draw_from_above(axis: Any, gait: Gait, samples: list[_GaitSample]) -> None:  # noqa: ANN401  matplotlib
     """Draw the paths from above, with forward up."""
     for sample in samples:
         stance = sample.stance
@@ -301,7 +301,9 @@ def _draw_snapshot(axis: Any, gait: Gait, stance: Stance, centre: FloatArray, in
     axis.plot(-feet[:, 1], feet[:, 0], color=GROUND, linewidth=0.6, marker="o", markersize=2.5)
 
 
-def _draw_over_time(shapes: dict[str, Any], gait: Gait, start_s: float, sample: _Sample) -> None:
+def _draw_over_time(
+    shapes: dict[str, Any], gait: Gait, start_s: float, sample: _GaitSample
+) -> None:
     times_s = start_s + sample.times_s
     for row, (leg, colour) in enumerate(zip(gait.legs, _colours(gait), strict=True)):
         down = sample.stance.is_down[:, row]

@@ -84,7 +84,7 @@ def export(trajectory: Trajectory, format_name: str, *, rate_hz: float = 50.0) -
     pass and one more. Raises `InputError` for another format or rate.
     """
     from lss_motion.files.texts import known_names
-    from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported
+    from lss_motion.interchange.export import EXPORT_NAMES, PlanSamples, exported
     from lss_motion.planning import shows
 
     if format_name not in EXPORT_NAMES:
@@ -92,7 +92,9 @@ def export(trajectory: Trajectory, format_name: str, *, rate_hz: float = 50.0) -
             f"unknown format {format_name!r}; {known_names(format_name, EXPORT_NAMES)}"
         )
     shows.require_rows(trajectory, rate_hz)
-    return exported(Samples.of(trajectory, shows.shown_s(trajectory), float(rate_hz)), format_name)
+    return exported(
+        PlanSamples.of(trajectory, shows.shown_s(trajectory), float(rate_hz)), format_name
+    )
 
 
 def play(  # noqa: PLR0913  (the options of one run)

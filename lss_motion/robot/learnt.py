@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from lss_motion.files.json_schema import json_schema
 from lss_motion.files.keys import Check, Field, FileModel, Name, Text
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.model import learnt_path
@@ -210,7 +210,7 @@ def save_learnt(learnt: Learnt, robot: Robot) -> Path:
     assert robot.path is not None
     path = learnt_path(robot.path)
     require_outputs(
-        [Output(path, Kind.LEARNT)], sources=[robot.path], remedy="move it to another place"
+        [Output(path, OutputKind.LEARNT)], sources=[robot.path], remedy="move it to another place"
     )
     kept = {name: joint for name, joint in learnt.joints.items() if name in robot.joints}
     text = learnt_text(learnt.changed(joints=kept), robot.path.name)

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import ProtocolError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
+from lss_motion.files.yaml_source import Location, Mistake, read_yaml, source_of
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import DISABLED
 from lss_motion.protocol.io2 import rc_zero_deg
@@ -112,11 +112,11 @@ def load_named_robot(source: YamlSource, name: str | None) -> Robot:
     The path is relative to that file. Raises `InputError` if the key or the file is missing.
     """
     if name is None:
-        raise source.error([Problem((), "no robot: give 'robot: FILE' here, or --robot FILE")])
+        raise source.error([Mistake((), "no robot: give 'robot: FILE' here, or --robot FILE")])
     path = source.path.parent / name
     if not path.exists():
         raise source.error(
-            [Problem(("robot",), f"robot file {name!r} not found; looked for {path}")]
+            [Mistake(("robot",), f"robot file {name!r} not found; looked for {path}")]
         )
     return load_robot(path)
 
@@ -167,7 +167,7 @@ class _Loader:
     content: RobotFile
     left_out: frozenset[Location]
     line: Callable[[Location], int]
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Mistake] = field(default_factory=list)
 
     @property
     def _units(self) -> Units:
@@ -248,7 +248,7 @@ class _Loader:
         )
 
     def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
+        self.problems.append(Mistake(location, reason))
 
     def _is_checked(self, *location: str) -> bool:
         return not any(self.left_out & {location[:1], location[:2]})
@@ -486,7 +486,7 @@ def _stored_problems(
 
 def sensors_of(
     entries: Mapping[str, SensorEntry], buses: Iterable[str], joints: Mapping[str, Joint]
-) -> tuple[dict[str, Sensor], list[Problem]]:
+) -> tuple[dict[str, Sensor], list[Mistake]]:
     """Return the sensors by name, and their problems."""
     known = list(buses)
     owners = {(joint.bus, joint.servo_id): f"joint {name!r}" for name, joint in joints.items()}
@@ -497,15 +497,15 @@ def sensors_of(
         bus = entry.bus or (known[0] if len(known) == 1 else None)
         if bus is None:
             reason = f"sensor {name!r} has no 'bus', and there are several: {', '.join(known)}"
-            problems.append(Problem((*place, "bus"), reason))
+            problems.append(Mistake((*place, "bus"), reason))
         elif bus not in known:
             reason = f"unknown bus {bus!r}; {known_names(bus, known)}"
-            problems.append(Problem((*place, "bus"), reason))
+            problems.append(Mistake((*place, "bus"), reason))
         elif (
             owner := owners.setdefault((bus, entry.id), f"sensor {name!r}")
         ) != f"sensor {name!r}":
             reason = f"{owner} and sensor {name!r} both have id {entry.id} on bus {bus!r}"
-            problems.append(Problem((*place, "id"), reason))
+            problems.append(Mistake((*place, "id"), reason))
         else:
             sensors[name] = Sensor(name=name, servo_id=entry.id, bus=bus, kind=entry.kind)
     return sensors, problems
@@ -523,15 +523,15 @@ def grouped(
 
 def group_problems(
     groups: Mapping[str, Sequence[str]], joints: Collection[str]
-) -> Iterator[Problem]:
+) -> Iterator[Mistake]:
     """Yield every member that is not a joint, and every group with the name of a joint."""
     for group, members in groups.items():
         if group in joints:
-            yield Problem(("groups", group), f"group {group!r} has the name of a joint")
+            yield Mistake(("groups", group), f"group {group!r} has the name of a joint")
         for index, name in enumerate(members):
             if name not in joints:
                 reason = f"group {group!r}: unknown joint {name!r}; {known_names(name, joints)}"
-                yield Problem(("groups", group, index), reason)
+                yield Mistake(("groups", group, index), reason)
 
 
 def mirror_images(entry: MirrorEntry) -> dict[str, Image]:
@@ -544,7 +544,7 @@ def mirror_images(entry: MirrorEntry) -> dict[str, Image]:
     return images
 
 
-def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Problem]:
+def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Mistake]:
     """Yield every pair with a joint that is unknown or already has an image."""
     seen: set[str] = set()
     for key, pairs in (("same", entry.same), ("opposite", entry.opposite)):
@@ -552,15 +552,15 @@ def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Pro
             place = ("mirror", key, left)
             for name in sorted({left, right}):
                 if name not in joints:
-                    yield Problem(place, f"unknown joint {name!r}; {known_names(name, joints)}")
+                    yield Mistake(place, f"unknown joint {name!r}; {known_names(name, joints)}")
                 elif name in seen:
-                    yield Problem(place, f"joint {name!r} has a mirror image already; keep one")
+                    yield Mistake(place, f"joint {name!r} has a mirror image already; keep one")
             seen |= {left, right}
 
 
 def figure_from(
     entries: Mapping[str, FigureLinkEntry], joints: Collection[str]
-) -> tuple[Figure | None, list[Problem]]:
+) -> tuple[Figure | None, list[Mistake]]:
     """Return the figure of the links of a robot file, or their problems."""
     problems = list(figure_problems(entries, joints))
     if problems or not entries:
@@ -610,28 +610,28 @@ def _ball(ball_mm: Sequence[float], end: Vector, shade: Shade | None) -> Shape:
 
 def figure_problems(
     entries: Mapping[str, FigureLinkEntry], joints: Collection[str]
-) -> Iterator[Problem]:
+) -> Iterator[Mistake]:
     for name, entry in entries.items():
         place = ("figure", name)
         if entry.parent is not None and entry.parent not in entries:
             reason = f"link {name!r}: unknown parent {entry.parent!r}"
-            yield Problem((*place, "parent"), f"{reason}; {known_names(entry.parent, entries)}")
+            yield Mistake((*place, "parent"), f"{reason}; {known_names(entry.parent, entries)}")
         if entry.joint is not None and entry.joint not in joints:
             known = known_names(entry.joint, joints)
-            yield Problem(
+            yield Mistake(
                 (*place, "joint"), f"link {name!r}: unknown joint {entry.joint!r}; {known}"
             )
         if entry.joint is not None and entry.axis is None:
             reason = f"link {name!r} has a joint and no 'axis', about which that turns it: y, …"
-            yield Problem((*place, "axis"), reason)
+            yield Mistake((*place, "axis"), reason)
         if entry.joint is None and (given := {"axis", "rest_deg"} & entry.given):
             key = min(given)
             reason = f"link {name!r} has no 'joint', so {key!r} has no meaning; remove it"
-            yield Problem((*place, key), reason)
+            yield Mistake((*place, key), reason)
     parents = {name: {entry.parent} for name, entry in entries.items() if entry.parent}
     try:
         TopologicalSorter(parents).prepare()
     except CycleError as error:
         cycle = error.args[1][::-1]
         reason = f"links are parents of each other: {' → '.join(cycle)}; one must stand alone"
-        yield Problem(("figure", cycle[0], "parent"), reason)
+        yield Mistake(("figure", cycle[0], "parent"), reason)

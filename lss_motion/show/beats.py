@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from lss_motion.files.yaml_source import Location, Problem
+from lss_motion.files.yaml_source import Location, Mistake
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,14 +36,14 @@ def beat_time(beats_s: Sequence[float], beat: float) -> float | None:
     return round(before_s + part * (beats_s[whole] - before_s), DIGITS) if part else before_s
 
 
-def on_beats(content: SequenceFile) -> tuple[SequenceFile, list[Problem]]:
+def on_beats(content: SequenceFile) -> tuple[SequenceFile, list[Mistake]]:
     """Return the file with a time in place of every `at_beat`, and what is wrong with them."""
-    beats_s, problems = beats_of(content), list[Problem]()
+    beats_s, problems = beats_of(content), list[Mistake]()
     place: Location = ("beats",) if isinstance(content.beats, list) else ("beats", "at_s")
     for index, (before_s, beat_s) in enumerate(pairwise(beats_s), start=1):
         if beat_s <= before_s:
             reason = f"beats must be in order, but {beat_s:g} s comes after {before_s:g} s"
-            problems.append(Problem((*place, index), reason))
+            problems.append(Mistake((*place, index), reason))
             break
     is_anchored = not isinstance(content.beats, list | None) and content.beats.anchor
     resolver = _Resolver(beats_s, is_anchored=is_anchored)
@@ -60,7 +60,7 @@ Track = TypeVar("Track", bound="TrackEntry")
 class _Resolver:
     def __init__(self, beats_s: tuple[float, ...], *, is_anchored: bool) -> None:
         self._beats_s, self._is_anchored = beats_s, is_anchored
-        self.problems: list[Problem] = []
+        self.problems: list[Mistake] = []
 
     def resolved(self, track: Track, place: Location) -> Track:
         """Return a track with a time in place of every beat."""
@@ -73,7 +73,7 @@ class _Resolver:
                 reason = self._problem(track, entry)
                 if reason:
                     at = (*place, "keyframes", index, "at_beat")
-                    self.problems.append(Problem(at, reason))
+                    self.problems.append(Mistake(at, reason))
                 found = self._timed(entry)
             frames.append(found)
         return track.changed(keyframes=frames)

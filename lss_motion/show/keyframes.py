@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Problem
+from lss_motion.files.yaml_source import Location, Mistake
 from lss_motion.show.check import SAME_TIME_S, clashes, joint_problems, jumps, loop_problem
 from lss_motion.show.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing
 
@@ -56,18 +56,18 @@ def timing_of(content: TrackEntry) -> Timing:
     return Timing.AUTHORED if has_times(content) else Timing.FASTEST
 
 
-def timing_problems(content: TrackEntry) -> Iterator[Problem]:
+def timing_problems(content: TrackEntry) -> Iterator[Mistake]:
     """Yield contradictions between `timing`, `duration_s`, the times and the anchors."""
     timing = timing_of(content)
     if timing is Timing.FIT and content.duration_s is None:
-        yield Problem(("timing",), "timing: fit needs 'duration_s', the time that one pass takes")
+        yield Mistake(("timing",), "timing: fit needs 'duration_s', the time that one pass takes")
     if timing is not Timing.FIT and content.duration_s is not None:
-        yield Problem(
+        yield Mistake(
             ("duration_s",),
             f"duration_s ({content.duration_s:g}) belongs to timing: fit; add that, or remove it",
         )
     if timing is Timing.AUTHORED and not has_times(content) and len(content.keyframes) > 1:
-        yield Problem(
+        yield Mistake(
             ("timing",),
             "timing: authored, but no keyframe has 'at_s' or 'after_s'; give them, or write "
             "timing: fastest",
@@ -75,13 +75,13 @@ def timing_problems(content: TrackEntry) -> Iterator[Problem]:
     for index, entry in enumerate(content.keyframes):
         if timing is Timing.FASTEST and _has_time(entry):
             key = "after_s" if entry.at_s is None else "at_s"
-            yield Problem(
+            yield Mistake(
                 ("keyframes", index, key),
                 f"{key}: timing: fastest finds the times itself; remove it, or write timing: "
                 "authored",
             )
         if entry.anchor and timing is not Timing.AUTHORED:
-            yield Problem(
+            yield Mistake(
                 ("keyframes", index, "anchor"),
                 f"an anchor keeps an authored time, but timing is {timing}; remove it, or give "
                 "times and write timing: authored",
@@ -90,7 +90,7 @@ def timing_problems(content: TrackEntry) -> Iterator[Problem]:
 
 def absolute_times(
     entries: Iterable[KeyframeEntry], unread: Container[int]
-) -> tuple[list[float | None], list[Problem]]:
+) -> tuple[list[float | None], list[Mistake]]:
     """Return the time of every keyframe, and what is wrong with the times.
 
     None stands for a time that is unknown because that keyframe, or one before it, is wrong. A time
@@ -98,7 +98,7 @@ def absolute_times(
     one instant end together, with the longest of their holds.
     """
     times_s: list[float | None] = []
-    problems: list[Problem] = []
+    problems: list[Mistake] = []
     end_s: float | None = 0.0
     for index, entry in enumerate(entries):
         before_s = times_s[-1] if times_s else None
@@ -106,7 +106,7 @@ def absolute_times(
             at_s = None
         else:
             at_s, found = _time(index, entry, before_s, end_s)
-            problems += [Problem(("keyframes", index, key), reason) for key, reason in found]
+            problems += [Mistake(("keyframes", index, key), reason) for key, reason in found]
         times_s.append(at_s)
         is_same = at_s is not None and at_s == before_s and end_s is not None
         until_s = None if at_s is None else at_s + entry.hold_s
@@ -179,7 +179,7 @@ class TrackLoader:
     """Default of `hold_may_shrink` where neither keyframe nor track gives it."""
     keep: Keep | Mapping[str, Keep] | None = None
     """Default of `keep` where the track does not give it: that of the file."""
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Mistake] = field(default_factory=list)
 
     def sequence(self, name: str) -> Sequence:
         """Return the sequence; it can be played only if there are no `problems`."""
@@ -281,7 +281,7 @@ class TrackLoader:
         return frozenset(part for _, *rest in self.left_out for part in rest if type(part) is int)
 
     def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem((*self.place, *location), reason))
+        self.problems.append(Mistake((*self.place, *location), reason))
 
     def _keyframe(self, index: int, entry: KeyframeEntry) -> Keyframe:
         is_read = ("keyframes", index) not in self.left_out

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.record import looked_for
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
+from lss_motion.files.yaml_source import Location, Mistake, read_yaml, source_of
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_named_robot
 from lss_motion.show.beats import beats_of, on_beats
@@ -93,7 +93,7 @@ def _loaded(source: YamlSource, robot: Robot | None, part: FileContext) -> Seque
     }
     content, problems, left_out = validate(SequenceFile, source, blanks=blanks)
     errors: list[InputError] = []
-    found: list[Problem] = []
+    found: list[Mistake] = []
     try:
         robot = robot or _named_robot(source, left_out)
     except InputError as error:
@@ -137,7 +137,7 @@ def _named_robot(source: YamlSource, left_out: frozenset[Location]) -> Robot | N
     return load_named_robot(source, name if name is None else str(name))
 
 
-def _as_one(source: YamlSource, problems: list[Problem], errors: list[InputError]) -> InputError:
+def _as_one(source: YamlSource, problems: list[Mistake], errors: list[InputError]) -> InputError:
     """Return one error: the problems of this file first, then those of others."""
     own = [source.error(problems)] if problems else []
     top, *others = [*own, *errors]
@@ -158,7 +158,7 @@ class _Loader:
     source: YamlSource
     robot: Robot | None
     part: FileContext
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Mistake] = field(default_factory=list)
     errors: list[InputError] = field(default_factory=list)
 
     def sequence(self) -> Sequence:
@@ -214,7 +214,7 @@ class _Loader:
         )
 
     def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
+        self.problems.append(Mistake(location, reason))
 
     def _check_kinds(self) -> None:
         content, left_out = self.content, {place[0] for place in self.left_out}

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Problem
+from lss_motion.files.yaml_source import Location, Mistake
 from lss_motion.show.check import check_sequence, jumps_between
 from lss_motion.show.keyframes import at_speed
 from lss_motion.show.model import (
@@ -129,7 +129,7 @@ class PartLoader:
     robot: Robot | None
     part: FileContext
     load: Callable[[Path, Robot | None, FileContext], Sequence]
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Mistake] = field(default_factory=list)
     errors: list[InputError] = field(default_factory=list)
 
     def steps(self) -> tuple[Step, ...]:
@@ -168,7 +168,7 @@ class PartLoader:
         return tuple(found)
 
     def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
+        self.problems.append(Mistake(location, reason))
 
     def _step(self, entry: StepEntry, place: Location) -> Step | None:
         given = entry.given

@@ -225,31 +225,31 @@ def _value(key: str, text: str) -> float | str:
 
 
 def _from_file(path: Path, robot: Robot) -> Deviation:
-    from lss_motion.files.yaml_source import Problem, read_yaml
+    from lss_motion.files.yaml_source import Mistake, read_yaml
 
     source = read_yaml(path)
     content, problems = source.value, [*source.problems]
     if not content:
-        problems.append(Problem((), f"holds no keys; {_KEYS}"))
+        problems.append(Mistake((), f"holds no keys; {_KEYS}"))
     own = content.get("joints", {})
     shared = _Read({key: value for key, value in content.items() if key != "joints"})
-    problems += [Problem((key,), text) for key, text in shared.problems]
+    problems += [Mistake((key,), text) for key, text in shared.problems]
     joints = {}
     for name, values in own.items() if isinstance(own, dict) else []:
         place: Location = ("joints", name)
         if name not in robot.joints:
             known = known_names(name, robot.joints)
             problems.append(
-                Problem(place, f"robot {robot.name!r} has no joint {name!r:.60}; {known}")
+                Mistake(place, f"robot {robot.name!r} has no joint {name!r:.60}; {known}")
             )
         elif not isinstance(values, dict):
-            problems.append(Problem(place, f"{name!r:.60} needs a mapping of {', '.join(OWN)}"))
+            problems.append(Mistake(place, f"{name!r:.60} needs a mapping of {', '.join(OWN)}"))
         else:
             read = _Read(values, OWN)
-            problems += [Problem((*place, key), text) for key, text in read.problems]
+            problems += [Mistake((*place, key), text) for key, text in read.problems]
             joints[name] = _over(shared.deviation, read.deviation, values)
     if not isinstance(own, dict):
-        problems.append(Problem(("joints",), "'joints' needs a mapping by joint"))
+        problems.append(Mistake(("joints",), "'joints' needs a mapping by joint"))
     if problems:
         raise source.error(problems)
     return replace(shared.deviation, joints=joints)

@@ -9,7 +9,7 @@ from lss_motion.errors import ProtocolError
 from lss_motion.files.keys import FILE_VERSION, VERSION, Field, FileModel, Version
 from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
-from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.files.yaml_source import Mistake, read_yaml
 from lss_motion.protocol.codec import language_table, stored_wire
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
@@ -113,52 +113,52 @@ def load_faults(path: Path | str, robot: Robot | None = None) -> tuple[Fault, ..
     return tuple(_fault(entry, robot) for entry in entries)
 
 
-def _problems(index: int, entry: FaultEntry) -> list[Problem]:
+def _problems(index: int, entry: FaultEntry) -> list[Mistake]:
     place = ("faults", index)
     if entry.kind not in list(FaultKind):
         known = known_names(entry.kind, map(str, FaultKind))
-        return [Problem((*place, "kind"), f"kind {entry.kind!r} is not known; {known}")]
+        return [Mistake((*place, "kind"), f"kind {entry.kind!r} is not known; {known}")]
     kind = FaultKind(entry.kind)
     given = entry.given
-    problems = [Problem(place, f"{kind} needs {key!r}") for key in kind.needs if key not in given]
+    problems = [Mistake(place, f"{kind} needs {key!r}") for key in kind.needs if key not in given]
     problems += [
-        Problem((*place, key), f"{key!r} says nothing about {kind}; leave it out")
+        Mistake((*place, key), f"{key!r} says nothing about {kind}; leave it out")
         for key in sorted(given)
         if not kind.has(key)
     ]
     if entry.until_s is not None and kind in INSTANT:
-        problems.append(Problem((*place, "until_s"), f"{kind} happens once; leave until_s out"))
+        problems.append(Mistake((*place, "until_s"), f"{kind} happens once; leave until_s out"))
     elif entry.until_s is not None and entry.until_s <= entry.at_s:
         problems.append(
-            Problem((*place, "until_s"), f"until_s {entry.until_s:g} must be after {entry.at_s:g}")
+            Mistake((*place, "until_s"), f"until_s {entry.until_s:g} must be after {entry.at_s:g}")
         )
     if entry.servo is not None and kind in ABOUT_LINE:
         hint = "; for one servo use 'deaf'" if kind is not FaultKind.LOW_VOLTAGE else ""
-        problems.append(Problem((*place, "servo"), f"{kind} befalls the line{hint}"))
+        problems.append(Mistake((*place, "servo"), f"{kind} befalls the line{hint}"))
     if kind is FaultKind.INPUT:
         problems += _input_problems(index, entry)
     return problems
 
 
-def _input_problems(index: int, entry: FaultEntry) -> list[Problem]:
+def _input_problems(index: int, entry: FaultEntry) -> list[Mistake]:
     place = ("faults", index)
     has_distance = entry.distance_mm is not None
     if (entry.raw is None) is not has_distance:
-        return [Problem(place, "input needs 'raw', or 'distance_mm' with 'sensor'")]
+        return [Mistake(place, "input needs 'raw', or 'distance_mm' with 'sensor'")]
     if has_distance is (entry.sensor is None):
-        return [Problem(place, "input needs 'distance_mm' and 'sensor' together")]
+        return [Mistake(place, "input needs 'distance_mm' and 'sensor' together")]
     if entry.sensor is not None and entry.sensor not in SENSOR_NAMES:
         known = known_names(entry.sensor, SENSOR_NAMES)
-        return [Problem((*place, "sensor"), f"sensor {entry.sensor!r} is not known; {known}")]
+        return [Mistake((*place, "sensor"), f"sensor {entry.sensor!r} is not known; {known}")]
     return []
 
 
-def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Problem]:
+def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Mistake]:
     """Return what a row names and the robot does not have."""
     place = ("faults", index)
     if entry.bus is not None and entry.bus not in robot.buses:
         known = known_names(entry.bus, robot.buses)
-        return [Problem((*place, "bus"), f"robot {robot.name!r} has no bus {entry.bus!r}; {known}")]
+        return [Mistake((*place, "bus"), f"robot {robot.name!r} has no bus {entry.bus!r}; {known}")]
     buses = robot.buses if entry.bus is None else {entry.bus}
     ids = {joint.servo_id for joint in robot.joints.values() if joint.bus in buses}
     if entry.kind == FaultKind.INPUT:
@@ -166,12 +166,12 @@ def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Problem]:
         sensors = {one.servo_id for one in robot.sensors.values() if one.bus in buses}
         ids |= sensors
         if Family.IO2 not in models and not sensors:
-            return [Problem(place, f"robot {robot.name!r} has no LSS-2IO there, so no inputs")]
+            return [Mistake(place, f"robot {robot.name!r} has no LSS-2IO there, so no inputs")]
         ids |= {PIN_IDS[name] for name in PIN_IDS if name.startswith("A")}
     if entry.servo is not None and entry.servo not in ids:
         known = ", ".join(map(str, sorted(ids)))
         return [
-            Problem(
+            Mistake(
                 (*place, "servo"),
                 f"robot {robot.name!r} has no servo {entry.servo} there; known ids are {known}",
             )
@@ -179,14 +179,14 @@ def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Problem]:
     return []
 
 
-def _setting_problems(index: int, entry: FaultEntry, robot: Robot | None) -> list[Problem]:
+def _setting_problems(index: int, entry: FaultEntry, robot: Robot | None) -> list[Mistake]:
     """Return the settings that a servo does not have, or not with that value."""
     problems = []
     for name, value in (entry.settings or {}).items():
         try:
             _wire(name, value, _language(entry, robot))
         except ProtocolError as error:
-            problems.append(Problem(("faults", index, "settings", name), str(error)))
+            problems.append(Mistake(("faults", index, "settings", name), str(error)))
     return problems
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.files.yaml_source import Location, Mistake, read_yaml
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.model import (
@@ -135,7 +135,7 @@ class _StageLoader:
     content: StageFile
     left_out: frozenset[Location]
     source: YamlSource
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Mistake] = field(default_factory=list)
     errors: list[InputError] = field(default_factory=list)
 
     def stage(self) -> Stage:
@@ -167,7 +167,7 @@ class _StageLoader:
         )
 
     def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
+        self.problems.append(Mistake(location, reason))
 
     def _is_left_out(self, *place: str) -> bool:
         return any(place[: len(part)] == part for part in self.left_out)

@@ -21,10 +21,10 @@ from lss_motion.interchange import (
     Channel,
     ForeignMotion,
     LabelTrack,
+    Measure,
+    PlanSamples,
     Reader,
     RefusedMotion,
-    Samples,
-    Unit,
     exported,
     reduced,
 )
@@ -238,7 +238,7 @@ def test_any_recording_is_reduced_within_the_tolerance(
 ) -> None:
     channel = Channel(
         name="a",
-        unit=Unit.DEG,
+        unit=Measure.DEG,
         times_s=np.round(np.arange(len(curve_deg)) / 50.0, 6),
         values=np.array(curve_deg),
     )
@@ -258,7 +258,7 @@ def test_any_recording_is_reduced_within_the_tolerance(
 def test_every_export_is_read_back(angles: list[float], rate_hz: float, name: str) -> None:
     times_s = np.arange(len(angles)) / rate_hz
     column = np.array(angles)[:, None]
-    samples = Samples(
+    samples = PlanSamples(
         name="x",
         joints=("a",),
         rate_hz=rate_hz,

@@ -12,7 +12,7 @@ from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.interchange import (
     ForeignMotion,
-    Unit,
+    Measure,
     import_motion,
     imported,
     load_map,
@@ -57,7 +57,7 @@ def test_every_real_motion_is_planned_with_the_times_of_its_author(file, tmp_pat
     for motion in motions:
         assert isinstance(motion, ForeignMotion)
         robot = robot_for(motion, tmp_path)
-        if any(channel.unit is Unit.RAD_OR_M for channel in motion.channels):
+        if any(channel.unit is Measure.RAD_OR_M for channel in motion.channels):
             with pytest.raises(InputError, match="does not define whether its values are"):
                 imported(motion, robot)
         sequence = imported(

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.files.yaml_source import Location, Mistake, read_yaml
 from lss_motion.robot.load import load_named_robot
 from lss_motion.show.gait.kinematics import neutral_mm
 from lss_motion.show.gait.model import (
@@ -103,7 +103,7 @@ class _Loader:
     content: GaitFile
     source: YamlSource
     robot: Robot
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Mistake] = field(default_factory=list)
 
     def gait(self) -> Gait | None:
         """Return the gait; it can be used only if there are no `problems`."""
@@ -156,7 +156,7 @@ class _Loader:
         return tuple(waves)
 
     def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
+        self.problems.append(Mistake(location, reason))
 
     def _legs(self) -> tuple[Leg, ...]:
         content, named = self.content, self.content.legs_from
@@ -318,13 +318,13 @@ def _move(entry: MoveEntry, pose: BodyPose, key: str, line: int) -> BodyMove:
     )
 
 
-def legs_of(content: GaitFile, robot: Robot) -> tuple[tuple[Leg, ...], list[Problem]]:
+def legs_of(content: GaitFile, robot: Robot) -> tuple[tuple[Leg, ...], list[Mistake]]:
     """Return the legs, left before right and front before rear, and their problems.
 
     With problems, no legs are returned.
     """
     entries = content.legs or {}
-    problems: list[Problem] = []
+    problems: list[Mistake] = []
     legs: list[Leg] = []
     owners: dict[str, str] = {}
     for name, entry in entries.items():
@@ -343,41 +343,41 @@ def legs_of(content: GaitFile, robot: Robot) -> tuple[tuple[Leg, ...], list[Prob
         return (), problems
     if len(entries) not in PARTS:
         reason = TWO_LEGS if len(entries) == 2 else f"{len(entries)} legs; 4 or 6 are supported"
-        return (), [Problem(("legs",), reason)]
+        return (), [Mistake(("legs",), reason)]
     if ordered is None:
-        return (), [Problem(("legs",), f"a robot needs {SIDES_NEEDED}")]
+        return (), [Mistake(("legs",), f"a robot needs {SIDES_NEEDED}")]
     return ordered, []
 
 
-def _leg_problems(name: str, fields: dict[str, Any]) -> Iterator[Problem]:
+def _leg_problems(name: str, fields: dict[str, Any]) -> Iterator[Mistake]:
     place = ("legs", name)
     for key in _NEEDED:
         if key not in fields:
-            yield Problem((*place, key), f"leg {name!r} has no {key!r}; give it here or in 'leg'")
+            yield Mistake((*place, key), f"leg {name!r} has no {key!r}; give it here or in 'leg'")
     kind = fields.get("kind")
     if kind is None:
         return
     if kind not in list(LegKind):
         known = known_names(kind, [own.value for own in LegKind])
-        yield Problem((*place, "kind"), f"leg {name!r}: unknown kind {kind!r}; {known}")
+        yield Mistake((*place, "kind"), f"leg {name!r}: unknown kind {kind!r}; {known}")
         return
     other = {LegKind.COXA: "knee", LegKind.ABDUCTION: "yaw_deg"}[LegKind(kind)]
     if other in fields:
-        yield Problem((*place, other), f"leg {name!r}: {other!r} has no meaning for {kind} legs")
+        yield Mistake((*place, other), f"leg {name!r}: {other!r} has no meaning for {kind} legs")
     if kind == LegKind.COXA and "yaw_deg" not in fields:
-        yield Problem(place, f"leg {name!r} has no 'yaw_deg', where it points: 90 is left")
+        yield Mistake(place, f"leg {name!r} has no 'yaw_deg', where it points: 90 is left")
 
 
 def _joint_problems(
     name: str, entry: LegEntry, robot: Robot, owners: dict[str, str]
-) -> Iterator[Problem]:
+) -> Iterator[Mistake]:
     for index, joint in enumerate(entry.joints):
         place = ("legs", name, "joints", index)
         if joint not in robot.joints:
             known = known_names(joint, robot.joints)
-            yield Problem(place, f"leg {name!r}: unknown joint {joint!r}; {known}")
+            yield Mistake(place, f"leg {name!r}: unknown joint {joint!r}; {known}")
         elif joint in owners:
-            yield Problem(place, f"joint {joint!r} is already one of leg {owners[joint]!r}")
+            yield Mistake(place, f"joint {joint!r} is already one of leg {owners[joint]!r}")
         owners.setdefault(joint, name)
 
 

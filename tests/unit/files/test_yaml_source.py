@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import FILE_MAX_BYTES
-from lss_motion.files.yaml_source import NODES_MAX, PROBLEMS_MAX, Problem, YamlSource, read_yaml
+from lss_motion.files.yaml_source import NODES_MAX, PROBLEMS_MAX, Mistake, YamlSource, read_yaml
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -92,14 +92,14 @@ def test_a_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path: Path) ->
 
 def test_a_repeated_key_is_a_problem_that_names_both_lines(tmp_path: Path) -> None:
     source = read(tmp_path, "a: 1\nb: 2\na: 3\n")
-    assert source.problems == (Problem(("a",), "'a' is given twice, first in line 1"),)
+    assert source.problems == (Mistake(("a",), "'a' is given twice, first in line 1"),)
     assert source.line(("a",)) == 3
 
 
 @pytest.mark.parametrize("nothing", ["", "~", "null"])
 def test_a_key_without_a_value_is_a_problem(tmp_path: Path, nothing: str) -> None:
     (problem,) = read(tmp_path, f"a: {nothing}\n").problems
-    assert problem == Problem(("a",), "'a' has no value; give one or remove it")
+    assert problem == Mistake(("a",), "'a' has no value; give one or remove it")
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,11 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
 
 def test_one_error_holds_all_problems_in_the_order_of_the_lines(tmp_path: Path) -> None:
     source = read(tmp_path, "a: 1\nb: 2\nc: 3\n")
-    problems = [Problem(("c",), "third"), Problem(("a",), "first"), Problem(("c",), "again")]
+    problems = [
+        Mistake(("c",), "third"),
+        Mistake(("a",), "first"),
+        Mistake(("c",), "again"),
+    ]
     error = source.error(problems)
     path = tmp_path / "file.yaml"
     assert str(error) == f"{path}:1: first\n{path}:3: third"
@@ -178,6 +182,6 @@ def test_one_error_holds_all_problems_in_the_order_of_the_lines(tmp_path: Path) 
 
 def test_more_problems_than_anybody_reads_are_counted(tmp_path: Path) -> None:
     source = read(tmp_path, "\n".join(f"k{n}: 1" for n in range(PROBLEMS_MAX + 7)))
-    error = source.error([Problem((key,), "wrong") for key in source.value])
+    error = source.error([Mistake((key,), "wrong") for key in source.value])
     assert len(error.more) == PROBLEMS_MAX
     assert error.more[-1].reason == "and 7 more problems"

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from lss_motion.interchange.json_motions import BLENDER, TENTHS
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 FRAMES = {"fps": 25, "frames": 4, "file": "a.blend", "positions": [{"0": 10}, {}, {"0": 30}, {}]}
 
@@ -15,7 +15,7 @@ FRAMES = {"fps": 25, "frames": 4, "file": "a.blend", "positions": [{"0": 10}, {}
 def test_a_blender_servo_that_is_missing_in_a_frame_keeps_its_position(read_one) -> None:
     motion = read_one(BLENDER, json.dumps(FRAMES))
     (servo,) = motion.channels
-    assert (servo.name, servo.unit) == ("0", Unit.RAW)
+    assert (servo.name, servo.unit) == ("0", Measure.RAW)
     assert servo.times_s.tolist() == [0.0, 0.04, 0.08, 0.12]
     assert servo.values.tolist() == [10.0, 10.0, 30.0, 30.0]
     assert motion.is_recording
@@ -37,7 +37,7 @@ def test_version_1_of_the_blender_format_lists_positions_by_servo(read_one) -> N
 def test_an_exported_blender_file_has_its_unit_and_its_joints(read_one) -> None:
     content = FRAMES | {"unit": TENTHS, "names": {"0": "elbow"}}
     (elbow,) = read_one(BLENDER, json.dumps(content)).channels
-    assert (elbow.name, elbow.unit) == ("elbow", Unit.DEG)
+    assert (elbow.name, elbow.unit) == ("elbow", Measure.DEG)
     assert elbow.values.tolist() == [1.0, 1.0, 3.0, 3.0]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion.interchange.bottango import BOTTANGO
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 EASED = "sC,10,1000,2000,0,500,0,8192,-500,0"
 STRAIGHT = "sC,10,3000,300,8192,100,-2730.6667,0,-100,2730.6667"
@@ -31,7 +31,7 @@ def controller(*commands: str, name: str = "head", setup: str = "") -> dict[str,
 def test_a_curve_runs_between_the_signals_of_its_effector(read_one) -> None:
     motion = read_one(BOTTANGO, json.dumps([controller(EASED, STRAIGHT)]))
     (servo,) = motion.channels
-    assert (motion.name, servo.name, servo.unit) == ("nod", "10", Unit.US)
+    assert (motion.name, servo.name, servo.unit) == ("nod", "10", Measure.US)
     assert motion.is_recording
     at = dict(zip(servo.times_s.tolist(), servo.values.tolist(), strict=True))
     assert (at[1.0], at[3.0], at[3.3]) == (1000.0, 2000.0, 1000.0)

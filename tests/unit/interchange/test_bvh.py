@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.interchange.bvh import BVH
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 from lss_motion.show.load import load_sequence
 
 SKELETON = """\
@@ -52,7 +52,7 @@ def test_the_angles_are_those_of_the_file_at_the_instants_of_its_frames(read_one
     assert found["Head.Zrotation"].values.tolist() == [10, 11, 12]
     assert found["Head.Yrotation"].values.tolist() == [-30, -31, -32]
     assert found["Head.Xrotation"].times_s.tolist() == [0.0, 0.04, 0.08]
-    assert {channel.unit for channel in motion.channels} == {Unit.DEG}
+    assert {channel.unit for channel in motion.channels} == {Measure.DEG}
     assert not any("position" in name for name in found)
     assert any("place of Hips" in comment for comment in motion.comments)
     assert motion.is_recording

@@ -6,7 +6,7 @@ import pytest
 
 from lss_motion.interchange.command_text import COMMANDS, command_reader
 from lss_motion.interchange.mapping import map_template, mapped
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 from lss_motion.show.model import Interpolation
 
 
@@ -25,13 +25,16 @@ def test_commands_to_different_servos_move_together_and_groups_follow_each_other
         "ID2": [(1.0, -20.0), (1.25, 0.0)],
     }
     assert motion.ease is Interpolation.LINEAR
-    assert [(c.unit, c.servo_id) for c in motion.channels] == [(Unit.DEG, 1), (Unit.DEG, 2)]
+    assert [(c.unit, c.servo_id) for c in motion.channels] == [
+        (Measure.DEG, 1),
+        (Measure.DEG, 2),
+    ]
 
 
 def test_ssc32_groups_share_the_time_at_their_end(read_one) -> None:
     motion = read_one(COMMANDS, "#5P1500#7P600S200T1000\n#5P1600T500\n")
     assert keys(motion) == {"PIN5": [(1.0, 1500.0), (1.5, 1600.0)], "PIN7": [(1.0, 600.0)]}
-    assert motion.channels[0].unit is Unit.US
+    assert motion.channels[0].unit is Measure.US
     assert "Not carried over: 1 speed (S, SD)" in motion.comments
 
 

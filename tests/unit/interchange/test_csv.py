@@ -7,7 +7,7 @@ import pytest
 from lss_motion.interchange.csv import CSV
 from lss_motion.interchange.importing import read_motions
 from lss_motion.interchange.mapping import mapped
-from lss_motion.interchange.reader import ForeignMotion, Unit
+from lss_motion.interchange.reader import ForeignMotion, Measure
 from lss_motion.show.model import Interpolation
 
 WIDE = "time_s,base_deg,elbow_rad,jaw_us,lift\n0,1,0.5,1500,7\n0.5,2,,1600,8\n1,3,1.5,1700,9\n"
@@ -16,7 +16,12 @@ WIDE = "time_s,base_deg,elbow_rad,jaw_us,lift\n0,1,0.5,1500,7\n0.5,2,,1600,8\n1,
 def test_the_ending_of_a_column_is_its_unit(read_one) -> None:
     motion = read_one(CSV, WIDE)
     units = {channel.name: channel.unit for channel in motion.channels}
-    assert units == {"base": Unit.DEG, "elbow": Unit.RAD, "jaw": Unit.US, "lift": Unit.DEG}
+    assert units == {
+        "base": Measure.DEG,
+        "elbow": Measure.RAD,
+        "jaw": Measure.US,
+        "lift": Measure.DEG,
+    }
     assert motion.channels[1].times_s.tolist() == [0.0, 1.0]
     assert motion.channels[0].values.tolist() == [1.0, 2.0, 3.0]
     assert "Columns without a unit are degrees: lift." in motion.comments
@@ -129,7 +134,7 @@ def test_the_time_is_known_by_the_names_that_programs_give_it(
     text = f"{header}\n{first}\n{second}\n"
     assert CSV.recognises(text.encode())
     (a,) = read_one(CSV, text).channels
-    assert (a.name, a.unit, a.values.tolist()) == ("a", Unit.DEG, [1.0, 2.0])
+    assert (a.name, a.unit, a.values.tolist()) == ("a", Measure.DEG, [1.0, 2.0])
     assert a.times_s[1] - a.times_s[0] == pytest.approx(0.05, abs=1e-6)
 
 
@@ -139,13 +144,13 @@ def test_the_time_is_known_by_the_names_that_programs_give_it(
 )
 def test_radians_are_radians_however_they_are_written(read_one, column: str) -> None:
     (a,) = read_one(CSV, f"t,{column}\n0,1\n").channels
-    assert (a.name, a.unit) == ("a", Unit.RAD)
+    assert (a.name, a.unit) == ("a", Measure.RAD)
 
 
 @pytest.mark.parametrize("name", ["head_turn", "left_s", "position[0]", "arm.pos", "second_finger"])
 def test_a_name_that_only_looks_like_a_unit_is_a_joint(read_one, name: str) -> None:
     (a,) = read_one(CSV, f"t,{name}\n0,1\n").channels
-    assert (a.name, a.unit) == (name, Unit.DEG)
+    assert (a.name, a.unit) == (name, Measure.DEG)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +175,7 @@ def test_a_unit_or_a_time_that_is_not_understood_is_refused(refusal, text, reaso
 
 def test_the_values_of_a_long_table_may_have_their_unit_in_brackets(read_one) -> None:
     (a,) = read_one(CSV, "time (s),joint,position (rad)\n0,a,0.5\n1,a,1\n").channels
-    assert (a.name, a.unit, a.values.tolist()) == ("a", Unit.RAD, [0.5, 1.0])
+    assert (a.name, a.unit, a.values.tolist()) == ("a", Measure.RAD, [0.5, 1.0])
 
 
 def test_a_comment_below_the_header_changes_nothing(read_one) -> None:

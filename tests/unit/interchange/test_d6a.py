@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.interchange.d6a import D6A
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +31,7 @@ def group(columns: str = COLUMNS, rows=ROWS, table: str = "ActionGroup") -> byte
 
 def test_rows_follow_each_other_by_their_index(read_one) -> None:
     one, two = read_one(D6A, group()).channels
-    assert (one.name, two.name, one.unit) == ("ID1", "ID2", Unit.DEG)
+    assert (one.name, two.name, one.unit) == ("ID1", "ID2", Measure.DEG)
     assert one.times_s.tolist() == [1.0, 1.25]
     assert one.values.tolist() == [0.0, -120.0]
     assert two.values.tolist() == pytest.approx([-4.8, 120.0])
@@ -39,7 +39,7 @@ def test_rows_follow_each_other_by_their_index(read_one) -> None:
 
 def test_pulses_of_rc_servos_stay_pulses(read_one) -> None:
     motion = read_one(D6A, group(rows=[(1, 500, 1500, 500), (2, 500, 2500, 1000)]))
-    assert motion.channels[0].unit is Unit.US
+    assert motion.channels[0].unit is Measure.US
     assert motion.channels[0].values.tolist() == [1500.0, 2500.0]
 
 

@@ -14,17 +14,17 @@ from lss_motion.interchange import (
     FORMAT_NAMES,
     READERS,
     ForeignMotion,
-    Samples,
+    PlanSamples,
     exported,
 )
 
 
 @pytest.fixture
-def samples() -> Samples:
+def samples() -> PlanSamples:
     times_s = np.arange(51) / 25.0
     angles = np.stack([30.0 * np.sin(times_s), -times_s], axis=1)
     speeds = np.stack([30.0 * np.cos(times_s), -np.ones(51)], axis=1)
-    return Samples(
+    return PlanSamples(
         name="sway",
         joints=("base", "elbow"),
         rate_hz=25.0,

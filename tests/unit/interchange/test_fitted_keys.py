@@ -10,9 +10,9 @@ import pytest
 from msgspec.structs import replace
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
-from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
+from lss_motion.interchange import Channel, ForeignMotion, Measure, imported, reduced
 from lss_motion.interchange.fitted_keys import fitted_together
-from lss_motion.interchange.recorded import Curve, Limits, Spans
+from lss_motion.interchange.recorded import JointLimits, Recorded, Spans
 from lss_motion.interchange.reduce import ROUNDING_DEG
 from lss_motion.show.load import load_sequence
 from lss_motion.show.model import Interpolation
@@ -36,7 +36,7 @@ def shown(seed: int, rate_hz: float = 50.0, duration_s: float = 25.0) -> Foreign
             here_deg, at_s = there_deg, at_s + move_s + random.exponential(0.3)
         values += 5.0 * np.sin(2.0 * np.pi * random.uniform(0.2, 0.9) * times_s)
         values = np.round(values + random.normal(0.0, 0.1, len(values)), 1)
-        channels.append(Channel(name=name, unit=Unit.DEG, times_s=times_s, values=values))
+        channels.append(Channel(name=name, unit=Measure.DEG, times_s=times_s, values=values))
     return ForeignMotion(
         path=Path("r.csv"), name="r", channels=tuple(channels), notes={}, is_recording=True
     )
@@ -44,9 +44,9 @@ def shown(seed: int, rate_hz: float = 50.0, duration_s: float = 25.0) -> Foreign
 
 def curve(
     values: np.ndarray, tolerance_deg: float, *, accel_max: float = np.inf, **more: object
-) -> Curve:
+) -> Recorded:
     """Return the curve of samples at 50 Hz, whose keys are samples."""
-    return Curve(
+    return Recorded(
         times_s=np.arange(len(values)) / 50.0,
         values=values,
         wanted=values,
@@ -195,7 +195,7 @@ def test_limits_that_a_recording_nearly_breaks_cost_a_spline_few_keys() -> None:
         for index, channel in enumerate(channel for pair in joints for channel in pair)
     )
     whole = replace(shown(0), channels=channels)
-    most = Limits(speed_deg_s=360.0, accel_deg_s2=1500.0, range_deg=(-180.0, 180.0))
+    most = JointLimits(speed_deg_s=360.0, accel_deg_s2=1500.0, range_deg=(-180.0, 180.0))
     limits = {channel.name: most for channel in channels}
     keys, fit = reduced(whole, 5.0, Interpolation.SPLINE, limits)
     _, free = reduced(whole, 5.0, Interpolation.SPLINE)
@@ -213,11 +213,11 @@ def test_a_recording_that_ends_in_motion_needs_few_keys_within_limits() -> None:
     whole = ForeignMotion(
         path=Path("r.csv"),
         name="r",
-        channels=(Channel(name="base", unit=Unit.DEG, times_s=times_s, values=values),),
+        channels=(Channel(name="base", unit=Measure.DEG, times_s=times_s, values=values),),
         notes={},
         is_recording=True,
     )
-    limits = Limits(speed_deg_s=180.0, accel_deg_s2=600.0, range_deg=(-90.0, 90.0))
+    limits = JointLimits(speed_deg_s=180.0, accel_deg_s2=600.0, range_deg=(-90.0, 90.0))
     keys, fit = reduced(whole, 1.0, Interpolation.SPLINE, {"base": limits})
     assert fit.error_max_deg <= 1.0 + ROUNDING_DEG
     assert fit.keys_count <= 20

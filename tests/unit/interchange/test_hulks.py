@@ -7,7 +7,7 @@ import json
 import pytest
 
 from lss_motion.interchange.json_motions import HULKS
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 SAMPLE = {
     "initial_positions": {"head": {"yaw": 0.0}, "left_arm": {"hand": 0.0}},
@@ -27,10 +27,10 @@ SAMPLE = {
 def test_hulks_keyframes_follow_each_other_from_the_initial_positions(read_one) -> None:
     motion = read_one(HULKS, json.dumps(SAMPLE))
     yaw, hand = motion.channels
-    assert (yaw.name, yaw.unit) == ("head.yaw", Unit.RAD)
+    assert (yaw.name, yaw.unit) == ("head.yaw", Measure.RAD)
     assert yaw.times_s.tolist() == [0.0, 0.5, 1.5, 1.75]
     assert yaw.values.tolist() == [0.0, 0.5, -0.5, 0.0]
-    assert (hand.name, hand.unit) == ("left_arm.hand", Unit.RAW)
+    assert (hand.name, hand.unit) == ("left_arm.hand", Measure.RAW)
     assert hand.times_s.tolist() == [0.0, 0.5]
     assert "Not carried over: motion: exit_condition" in motion.comments
 

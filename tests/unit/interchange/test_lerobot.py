@@ -11,7 +11,7 @@ import pytest
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.interchange.lerobot import LEROBOT
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -52,7 +52,7 @@ def test_episodes_have_the_rate_and_the_names_of_the_dataset(dataset: Path) -> N
     first, second = LEROBOT.motions(dataset, data)
     assert (first.name, second.name, first.is_recording) == ("episode 0", "episode 1", True)
     pan, gripper = first.channels
-    assert (pan.name, gripper.name, pan.unit) == ("shoulder_pan", "gripper", Unit.RAW)
+    assert (pan.name, gripper.name, pan.unit) == ("shoulder_pan", "gripper", Measure.RAW)
     assert pan.times_s.tolist() == pytest.approx([0.0, 1 / 30, 2 / 30], abs=1e-6)
     assert pan.values.tolist() == [0.5, 1.5, 2.5]
     assert second.channels[1].values.tolist() == [60.0, 61.0]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.interchange.reader import ForeignMotion, Unit
+from lss_motion.interchange.reader import ForeignMotion, Measure
 from lss_motion.interchange.step_tables import MAESTRO
 
 SAMPLE = """\
@@ -35,7 +35,7 @@ def test_maestro_targets_are_quarters_of_microseconds_reached_at_the_end_of_a_fr
     assert isinstance(look, ForeignMotion)
     pan, second = look.channels
     assert (look.name, rest.name) == ("look", "rest")
-    assert (pan.name, pan.unit, second.name) == ("pan", Unit.US, "channel1")
+    assert (pan.name, pan.unit, second.name) == ("pan", Measure.US, "channel1")
     assert (pan.times_s.tolist(), pan.values.tolist()) == ([0.5, 1.5], [1000.0, 2000.0])
     assert second.values.tolist() == [1500.0]
     assert "Not carried over: channel1 is switched off" in look.comments

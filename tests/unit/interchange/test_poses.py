@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.interchange import READERS
 from lss_motion.interchange.poses import POSES, STEP_S
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 
 def keys(motion) -> dict[str, list[tuple[float, float]]]:
@@ -25,7 +25,7 @@ def test_objects_with_durations_and_pauses(read_one) -> None:
     ]
     motion = read_one(POSES, json.dumps(content))
     assert keys(motion) == {"a": [(0.5, 10.0), (1.75, 20.0)], "b": [(1.75, 1.5)]}
-    assert [channel.unit for channel in motion.channels] == [Unit.DEG, Unit.RAD]
+    assert [channel.unit for channel in motion.channels] == [Measure.DEG, Measure.RAD]
     assert (motion.notes[0.5].label, motion.notes[0.5].hold_s) == ("up", 0.25)
     assert "Not carried over: colour of the poses" in motion.comments
 
@@ -105,7 +105,7 @@ def test_a_wrong_row_is_refused_with_its_line(refusal) -> None:
 def test_a_header_in_a_comment_and_units_in_brackets_are_read(read_one) -> None:
     motion = read_one(POSES, "# a (rad) duration (ms)\n0.0 500\n1.0 500\n")
     (a,) = motion.channels
-    assert (a.name, a.unit, a.times_s.tolist()) == ("a", Unit.RAD, [0.5, 1.0])
+    assert (a.name, a.unit, a.times_s.tolist()) == ("a", Measure.RAD, [0.5, 1.0])
 
 
 @pytest.mark.parametrize(

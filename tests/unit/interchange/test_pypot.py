@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion.interchange.json_motions import PYPOT
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 
 
 def test_pypot_samples_are_sorted_by_their_real_times(read_one) -> None:
@@ -17,7 +17,7 @@ def test_pypot_samples_are_sorted_by_their_real_times(read_one) -> None:
     (neck,) = motion.channels
     assert neck.times_s.tolist() == [0.5, 1.5, 10.0]
     assert neck.values.tolist() == [1.0, 3.0, 2.0]
-    assert neck.unit is Unit.DEG
+    assert neck.unit is Measure.DEG
     assert not motion.is_recording
     assert "Not carried over: recorded speeds" in motion.comments
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
+from lss_motion.interchange import Channel, ForeignMotion, Measure, imported, reduced
 from lss_motion.interchange.recorded import (
     BSPLINE_SHIFT_MAX_DEG,
-    Limits,
+    JointLimits,
     Spans,
     bspline_values,
     interpolated,
@@ -30,7 +30,7 @@ def recording(*curves: np.ndarray, rate_hz: float = 100.0, names=("base", "elbow
         channels=tuple(
             Channel(
                 name=name,
-                unit=Unit.DEG,
+                unit=Measure.DEG,
                 times_s=np.round(np.arange(len(values)) / rate_hz, 6),
                 values=values,
             )
@@ -167,7 +167,7 @@ def test_tolerance_zero_keeps_every_sample(arm) -> None:
     assert np.abs(kept_deg - curve).max() <= BSPLINE_SHIFT_MAX_DEG
 
 
-LIMITS = Limits(speed_deg_s=180.0, accel_deg_s2=600.0, range_deg=(-10.0, 170.0))
+LIMITS = JointLimits(speed_deg_s=180.0, accel_deg_s2=600.0, range_deg=(-10.0, 170.0))
 
 
 def bang_bang(accel_deg_s2: float = 600.0) -> np.ndarray:
@@ -246,7 +246,8 @@ def moves(seed: int, *, rate_hz: float = 50.0, duration_s: float = 20.0) -> np.n
 def many(count: int) -> ForeignMotion:
     times_s = np.round(np.arange(1000) / 50.0, 6)
     channels = [
-        Channel(name=f"j{n}", unit=Unit.DEG, times_s=times_s, values=moves(n)) for n in range(count)
+        Channel(name=f"j{n}", unit=Measure.DEG, times_s=times_s, values=moves(n))
+        for n in range(count)
     ]
     return ForeignMotion(
         path=Path("r.csv"), name="r", channels=tuple(channels), notes={}, is_recording=True

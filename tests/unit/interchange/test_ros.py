@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from lss_motion.interchange.reader import ForeignMotion, RefusedMotion, Unit
+from lss_motion.interchange.reader import ForeignMotion, Measure, RefusedMotion
 from lss_motion.interchange.ros import NODES_MAX, ROS
 
 MESSAGE = """\
@@ -40,7 +40,7 @@ COLLECTION = """\
 def test_a_message_has_times_in_seconds_and_nanoseconds(read_one) -> None:
     motion = read_one(ROS, MESSAGE)
     a, b = motion.channels
-    assert (a.name, a.unit, a.times_s.tolist()) == ("a", Unit.RAD, [0.0, 1.5])
+    assert (a.name, a.unit, a.times_s.tolist()) == ("a", Measure.RAD, [0.0, 1.5])
     assert b.values.tolist() == [1.0, -1.0]
     assert "Not carried over: velocities" in motion.comments
     assert motion.keyframes[1].deg["a"] == pytest.approx(28.647890)
@@ -61,8 +61,8 @@ def test_a_collection_gives_its_motions_and_the_errors_of_wrong_ones(tmp_path) -
     wave, broken, nothing = ROS.motions(tmp_path, COLLECTION.encode())
     assert isinstance(wave, ForeignMotion)
     assert [(c.name, c.unit) for c in wave.channels] == [
-        ("a", Unit.RAD),
-        ("torso_lift_joint", Unit.RAD_OR_M),
+        ("a", Measure.RAD),
+        ("torso_lift_joint", Measure.RAD_OR_M),
     ]
     assert wave.channels[0].times_s.tolist() == [0.5, 2.0]
     assert wave.channels[1].values.tolist() == [0.1, 0.2]
@@ -174,7 +174,7 @@ def test_an_echo_of_joint_states_is_a_recording(read_one, refusal) -> None:
     motion = read_one(ROS, text)
     a, b = motion.channels
     assert motion.is_recording
-    assert (a.name, a.unit, len(a.values)) == ("a", Unit.RAD, 40)
+    assert (a.name, a.unit, len(a.values)) == ("a", Measure.RAD, 40)
     assert a.times_s[39] - a.times_s[0] == pytest.approx(1.95, abs=1e-6)
     assert set(b.values.tolist()) == {0.5}
     assert "'header'" in refusal(ROS, text.replace("header:", "top:")).reason

@@ -10,7 +10,7 @@ import pytest
 import lss_motion as lss
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError, install_command
-from lss_motion.interchange.voice import Follow, VoiceStyle, _swells, fitted, voice_sequence
+from lss_motion.interchange.voice import VoiceFollow, VoiceStyle, _swells, fitted, voice_sequence
 from lss_motion.sound.envelope import TurningPoint
 from lss_motion.sound.files import SoundPart
 from tests.speech import spoken
@@ -133,7 +133,7 @@ def test_a_nod_and_a_sway_are_slow_and_follow_the_sound(folder):
 
 def test_swells_that_are_too_fast_become_smaller_not_faster(folder):
     joint = lss.load_robot("robot.yaml").joints["head"]
-    style = VoiceStyle(follow=Follow.ENERGY, speed_max_deg_s=20.0)
+    style = VoiceStyle(follow=VoiceFollow.ENERGY, speed_max_deg_s=20.0)
     times_s = np.arange(0.0, 12.0, 0.01)
     turns = _swells((times_s % 1.0 < 0.5).astype(float), 0.01, joint, style, 30.0)
     at_s, deg = np.array([(turn.at_s, 30.0 * turn.ratio) for turn in turns]).T
@@ -194,4 +194,4 @@ def test_more_keys_than_a_file_may_have_are_refused_with_the_parts_to_import(fol
     monkeypatch.setattr("lss_motion.interchange.voice.KEYFRAMES_MAX", 5)
     part, robot = SoundPart(path=folder / "voice.wav"), lss.load_robot("robot.yaml")
     with pytest.raises(InputError, match=r"at most 5 are allowed; import it in parts .* --span"):
-        voice_sequence(part, robot, "jaw", VoiceStyle(follow=Follow.SYLLABLES))
+        voice_sequence(part, robot, "jaw", VoiceStyle(follow=VoiceFollow.SYLLABLES))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.reader import Measure
 from lss_motion.interchange.step_tables import WEBOTS
 
 SAMPLE = """\
@@ -21,7 +21,7 @@ def test_a_webots_star_sets_no_key(read_one) -> None:
     assert left.times_s.tolist() == [0.0, 60.0]
     assert right.times_s.tolist() == [0.0, 1.5, 60.0]
     assert right.values.tolist() == [0.2, 0.4, 0.2]
-    assert (right.unit, lift.unit) == (Unit.RAD, Unit.RAD_OR_M)
+    assert (right.unit, lift.unit) == (Measure.RAD, Measure.RAD_OR_M)
     assert motion.notes[1.5].label == "Up"
 
 
