@@ -8,21 +8,17 @@ Commands, called by `main`:
 
 ==============  =================================================================================
 beats           `beats`: tempo and beats of music, as a proposal
-calibrate       `calibrate`: find zero and direction of each joint by hand
-completion      `completion`: the script that lets a shell complete commands and options
+by_hand         `record`, `jog`, `calibrate`: with limp joints, or moved by keys
 configure       `configure`: compare, write, back up and restore the settings of servos
 doctor          `doctor`, `devices`: check this computer; its sound devices
 examples        `example`: list the packaged examples, write one
 exchange        `import`, `export`: motion of other tools, and motion for them
 identify        `identify`: measure the response of servos
-jog             `jog`: move joints with keys, keep poses
+manual          `reference`, `completion`: pages of servo commands, scripts for shells
 monitor         `monitor`: the live state of all servos
 planning        `check`, `plan`, `compile`, `schema`, `gait`: all that needs no servo
 play            `play`, and the program `lss-play`
-record          `record`: a motion shown by hand becomes a sequence file
-reference       `reference`: the commands of the servos as Markdown
-replay          `replay`: the content of a log, and its second run
-report          `report`: the report of a show as text and picture; also called by `play`, `walk`
+report          `report`, `replay`: what a run has left; also called by `play`, `walk`
 scan            `scan`: find ports, baud rates and servos
 send            `send`: one command to one servo
 serving         `studio`, `serve`: a show or a stage in a browser

@@ -211,7 +211,7 @@ class ShownFolder:
         `folder` stands for this one, with the file `changed`.
         """
         from lss_motion.files.output import STATE_VARIABLE, user_folder
-        from lss_motion.files.record import ABSENT, recorded
+        from lss_motion.files.source import ABSENT, recorded
 
         with recorded() as record:
             try:

@@ -185,7 +185,7 @@ class HandsControls(Inputs, ABC):
 
     @abstractmethod
     def lines(self, hands_on: HandsOn, now_ns: int) -> Sequence[str]:
-        """Return the lines to draw."""
+        """Return the lines to draw, while the robot may be moved."""
 
     def print(self, text: str, *, beeps: bool = False) -> None:
         """Print a line that stays on the screen."""
@@ -202,7 +202,7 @@ class HandsControls(Inputs, ABC):
                 pass
 
     def show(self, driven: HandsOn, now_ns: int) -> None:
-        if lines := self.lines(driven, now_ns):
+        if driven.phase is Phase.SHOW and (lines := self.lines(driven, now_ns)):
             self._screen.show(lines, now_ns)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import COMMANDS, ProgramParser, SubcommandParser, add_version
 from lss_motion.cli.messages import guarded
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.cli.commands import Commands
-
-COMPLETION: Final = "completion"
-"""The command that has to know all commands."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,19 +34,13 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the parser of `lss-motion` with all commands."""
     parser, commands = _empty_parser()
     for module in dict.fromkeys(module for module, _ in COMMANDS.values()):
-        if module != COMPLETION:
-            _add_module(commands, module)
-    from lss_motion.cli import completion, play
-
-    completion.add_to(commands, lambda: (make_parser(), play.make_parser()))
+        _add_module(commands, module)
     return parser
 
 
 def _parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser with the module of the command in `words`, or with names alone."""
     command = next((word for word in words if not word.startswith("-")), None)
-    if command == COMPLETION:
-        return make_parser()
     parser, commands = _empty_parser()
     if command in COMMANDS:
         _add_module(commands, COMMANDS[command][0])

@@ -114,7 +114,7 @@ def without_secrets(text: str) -> str:
 
 def _checked(path: Path, robot_path: Path | None) -> tuple[Any, list[Path]]:
     """Return what `check` says, or its error, and the files that were read for it."""
-    from lss_motion.files.record import ABSENT, recorded
+    from lss_motion.files.source import ABSENT, recorded
     from lss_motion.stage.check import file_as_json
 
     with recorded() as record:

@@ -10,7 +10,7 @@ from lss_motion.cli.commands import add_command
 from lss_motion.cli.messages import say
 from lss_motion.cli.options import add_options
 from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError
-from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.texts import counted
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def _publish(arguments: argparse.Namespace) -> int:
     from lss_motion.studio.publish import page_of, published, verdict_of
 
     require_outputs(
-        [Output(arguments.output, Kind.PAGE)],
+        [Output(arguments.output, OutputKind.PAGE)],
         sources=[arguments.file, arguments.robot],
         is_forced=arguments.force,
     )

@@ -19,12 +19,11 @@ Readers, each a value of `Reader`:
 
 | module         | formats                                                                |
 |----------------|------------------------------------------------------------------------|
-| `bottango`     | `AnimationCommands.json` of Bottango                                   |
 | `bvh`          | motion capture as BVH: a skeleton and its frames                       |
 | `command_text` | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
 | `csv`          | wide and long CSV tables                                               |
 | `d6a`          | action groups of Hiwonder robots (SQLite)                              |
-| `json_motions` | JSON of Bit-Bots, HULKs, Poppy (pypot) and the Blender add-on          |
+| `json_motions` | JSON of Bit-Bots, HULKs, Poppy (pypot), the Blender add-on, Bottango   |
 | `label_files`  | labels: Audacity, Rhubarb, Papagayo, Praat, xLights                    |
 | `lerobot`      | LeRobot datasets (parquet; needs pyarrow)                              |
 | `opencat`      | C arrays of OpenCat skills (Petoi)                                     |

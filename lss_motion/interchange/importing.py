@@ -20,12 +20,11 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
 from lss_motion.files.texts import counted, known_names
-from lss_motion.interchange.bottango import BOTTANGO
 from lss_motion.interchange.bvh import BVH
 from lss_motion.interchange.command_text import COMMANDS, CONSTANT_SPEED, command_reader
 from lss_motion.interchange.csv import CSV
 from lss_motion.interchange.d6a import D6A
-from lss_motion.interchange.json_motions import BITBOTS, BLENDER, HULKS, PYPOT
+from lss_motion.interchange.json_motions import BITBOTS, BLENDER, BOTTANGO, HULKS, PYPOT
 from lss_motion.interchange.label_files import AUDACITY, PAPAGAYO, PRAAT, RHUBARB, XLIGHTS
 from lss_motion.interchange.labels import LabelStyle, label_sequence
 from lss_motion.interchange.lerobot import LEROBOT

@@ -1,7 +1,7 @@
 """Shows on disk: a show whose files are unchanged is loaded, not read, planned and compiled again.
 
 The name of an entry is a hash of the command line and the folder where it was given. An entry holds
-the states of all files that the show was made of (`files.record`) and the show. It counts
+the states of all files that the show was made of (`files.source`) and the show. It counts
 (`planning.kept`) only if every file is what it was, and the bytes of its program pass the verifier
 again, on its robot. What does not depend on files alone is never kept: limits that were asked of
 servos, and functions of a show, which Python may find elsewhere the next time.
@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.files.cache import SHOW_SUFFIX
-from lss_motion.files.record import are_unchanged, recorded
-from lss_motion.files.source import bounded_data
+from lss_motion.files.source import are_unchanged, bounded_data, recorded
 from lss_motion.planning.kept import MissError, keep, loaded
 from lss_motion.planning.shows import recheck
 

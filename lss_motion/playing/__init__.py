@@ -19,7 +19,7 @@
 | `sounds.py`         | sounds of a show on an open stream             | `run`                    |
 | `sound_choice.py`   | device and offset; what came of the sounds     | `run`, `cli`             |
 | `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |
-| `replay.py`         | repeats the player's decisions from a log      | `cli.replay`             |
+| `replay.py`         | repeats the player's decisions from a log      | `cli.report`             |
 | `report.py`         | the JSON report of a run, or of many shows     | `run`, `cli`             |
 | `truth.py`          | what simulated horns did                       | `run`                    |
 | `robustness.py`     | shows played with deviations                   | `cli.planning`           |

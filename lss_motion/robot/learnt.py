@@ -18,8 +18,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from lss_motion.files.json_schema import json_schema
-from lss_motion.files.keys import Check, Field, FileModel, Name, Text
+from lss_motion.files.keys import Check, Field, FileModel, Name, Text, json_schema
 from lss_motion.files.output import Output, OutputKind, require_outputs, write_output
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import read_yaml

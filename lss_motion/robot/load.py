@@ -123,7 +123,7 @@ def load_named_robot(source: YamlSource, name: str | None) -> Robot:
 
 def robot_schema() -> dict[str, Any]:
     """Return the JSON Schema of a robot file."""
-    from lss_motion.files.json_schema import json_schema
+    from lss_motion.files.keys import json_schema
     from lss_motion.robot.file import RobotFile
 
     return json_schema(RobotFile)

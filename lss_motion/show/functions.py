@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from lss_motion.errors import InputError
-from lss_motion.files.record import note_unrepeatable
-from lss_motion.files.source import read_data
+from lss_motion.files.source import note_unrepeatable, read_data
 from lss_motion.files.texts import known_names
 
 if TYPE_CHECKING:

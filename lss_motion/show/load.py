@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.record import looked_for
+from lss_motion.files.source import looked_for
 from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Location, Mistake, read_yaml, source_of
 from lss_motion.protocol.constants import Led
@@ -61,7 +61,7 @@ def load_sequence(
 
 def sequence_schema() -> dict[str, Any]:
     """Return the JSON Schema of a sequence file."""
-    from lss_motion.files.json_schema import json_schema
+    from lss_motion.files.keys import json_schema
     from lss_motion.show.file import SequenceFile
 
     return json_schema(SequenceFile)

@@ -108,7 +108,7 @@ def load_stage(path: Path | str) -> Stage:
 
 def stage_schema() -> dict[str, Any]:
     """Return the JSON Schema of a stage file."""
-    from lss_motion.files.json_schema import json_schema
+    from lss_motion.files.keys import json_schema
     from lss_motion.stage.file import StageFile
 
     return json_schema(StageFile)

@@ -23,8 +23,7 @@ import numpy as np
 
 from lss_motion import __version__
 from lss_motion.errors import InputError
-from lss_motion.files.record import ABSENT, recorded
-from lss_motion.files.source import read_data, text_of
+from lss_motion.files.source import ABSENT, read_data, recorded, text_of
 from lss_motion.files.texts import counted, duration_text
 
 if TYPE_CHECKING:

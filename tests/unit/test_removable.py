@@ -13,8 +13,8 @@ from tests.tables import first_quick
 ROOT = Path(__file__).parents[2]
 
 REMOVED = {
-    "interchange": ("exchange", "record"),
-    "maintenance": ("calibrate", "configure", "identify", "monitor", "record", "scan", "send"),
+    "interchange": ("exchange", "by_hand"),
+    "maintenance": ("by_hand", "configure", "identify", "monitor", "scan", "send"),
     "sound": ("beats", "exchange"),
     "stage": ("doctor", "serving", "stages"),
     "studio": ("serving",),

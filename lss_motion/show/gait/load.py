@@ -79,7 +79,7 @@ def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:
 
 def gait_schema() -> dict[str, Any]:
     """Return the JSON Schema of a gait file."""
-    from lss_motion.files.json_schema import json_schema
+    from lss_motion.files.keys import json_schema
     from lss_motion.show.gait.file import GaitFile
 
     return json_schema(GaitFile)

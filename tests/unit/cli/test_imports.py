@@ -11,14 +11,13 @@ from pathlib import Path
 import pytest
 
 from lss_motion.cli.commands import COMMAND_GROUPS, COMMANDS
-from lss_motion.cli.main import COMPLETION
 from lss_motion.planning.kept import MAKERS
 
 EXAMPLES = Path(__file__).parents[3] / "sequences"
 
 HEAVY = ("numpy", "scipy", "toppra", "yaml", "serial", "rich", "matplotlib")
 
-MODULES = tuple(dict.fromkeys(module for module, _ in COMMANDS.values() if module != COMPLETION))
+MODULES = tuple(dict.fromkeys(module for module, _ in COMMANDS.values()))
 
 SET_BY_CLI = ("OPENBLAS_NUM_THREADS",)
 """Environment variables that `lss_motion.cli` sets unless the user does."""

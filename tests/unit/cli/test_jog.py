@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from lss_motion.cli.jog import HELD_NS, JogControls
+from lss_motion.cli.by_hand import HELD_NS, JogControls
 from lss_motion.playing.player.events import Phase
 from lss_motion.robot.load import load_robot
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.cli.reference import FAMILIES, page
+from lss_motion.cli.manual import FAMILIES, page
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
 

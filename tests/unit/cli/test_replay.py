@@ -9,7 +9,7 @@ import pytest
 
 from lss_motion.cli import play
 from lss_motion.cli.main import main
-from lss_motion.cli.replay import event_lines
+from lss_motion.cli.report import event_lines
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
 from lss_motion.playing.log import HappenedLine, LogLine, encode_line
 from lss_motion.playing.player.events import (

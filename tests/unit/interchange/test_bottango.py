@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from lss_motion.interchange.bottango import BOTTANGO
+from lss_motion.interchange.json_motions import BOTTANGO
 from lss_motion.interchange.reader import Measure
 
 EASED = "sC,10,1000,2000,0,500,0,8192,-500,0"

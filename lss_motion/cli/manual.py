@@ -1,10 +1,12 @@
-"""The command `reference`: every command of the servo families as a Markdown page.
+"""The commands `reference` and `completion`: pages of servo commands, and a script for shells.
 
 The pages come from the tables that the encoder, the parser and the simulator use.
 """
 
 from __future__ import annotations
 
+import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
@@ -12,11 +14,11 @@ from lss_motion.cli.messages import say
 from lss_motion.errors import EXIT_FINISHED
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterable, Sequence
 
     from lss_motion.cli.commands import Commands
     from lss_motion.protocol.table import FamilyTable, Row
+
 
 SOURCES: Final = """\
 Sources: `LSS 8` is command 8 of the LSS communication protocol 106.1 of 2019-02-22, `PRO` names
@@ -48,7 +50,8 @@ HEAD: Final = (
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command of this module."""
+    """Add the commands of this module."""
+    _add_completion(commands)
     reference = add_command(commands, "reference", _reference, DESCRIPTION)
     reference.add_argument(
         "family", nargs="?", choices=FAMILIES, help="only this family (default: all three)"
@@ -155,3 +158,43 @@ def _table(rows: Sequence[tuple[str, ...]]) -> str:
 def _safe(cell: str) -> str:
     """Return text that keeps its characters in a Markdown table."""
     return cell.replace("|", "\\|").replace("*", "\\*")
+
+
+COMPLETION_TEXT: Final = """\
+Print a script for your shell. With it, the Tab key completes the commands, options and files of
+lss-motion and lss-play.
+
+  eval "$(lss-motion completion bash)"      add this line to ~/.bashrc
+  eval "$(lss-motion completion zsh)"       add this line to ~/.zshrc, after compinit
+  lss-motion completion tcsh | source /dev/stdin
+"""
+
+SHELLS: Final = ("bash", "zsh", "tcsh")
+
+
+def _add_completion(commands: Commands) -> None:
+    completion = add_command(commands, "completion", _completion, COMPLETION_TEXT)
+    completion.add_argument("shell", choices=SHELLS, help="the shell that you use")
+
+
+def _completion(arguments: argparse.Namespace) -> int:
+    import shtab
+
+    from lss_motion.cli import main, play
+
+    for parser in (main.make_parser(), play.make_parser()):
+        _complete_files(parser)
+        say(shtab.complete(parser, arguments.shell))
+    return EXIT_FINISHED
+
+
+def _complete_files(parser: argparse.ArgumentParser) -> None:
+    """Complete every argument that is a path with files, in the parser and its commands."""
+    import shtab
+
+    for action in parser._actions:  # noqa: SLF001  (argparse has no public list of arguments)
+        if action.type is Path or action.dest == "robot":
+            action.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            for inner in action.choices.values():
+                _complete_files(inner)
