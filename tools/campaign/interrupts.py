@@ -166,7 +166,7 @@ class _Interrupted:
     def __init__(
         self, folder: Path, words: str, bus: SimBus, signals: tuple[signal.Signals, ...], after: int
     ) -> None:
-        self._folder, self._bus, self._signals = folder, bus, signals
+        self._folder, self._words, self._signals = folder, words, signals
         self.screen = ""
         own_fd, their_fd = pty.openpty()
         assert bus.lines is not None
@@ -222,8 +222,8 @@ class _Interrupted:
         if "Traceback" in self.screen:
             found.append("it printed a traceback")
         moves = [at for at, line in enumerate(self._received) if MOVE.search(line)]
-        is_sent = any(number is signal.SIGKILL for number in self._signals)
-        if moves and not is_sent and not self._is_safe_after(moves[-1]):
+        ends_itself = is_killed or self._words.startswith("send")  # Its one move was asked for.
+        if moves and not ends_itself and not self._is_safe_after(moves[-1]):
             found.append(f"no halt follows the last move: {self._received[-3:]}")
         left = {path.name for path in self._folder.iterdir()} - OUTPUTS - {"state"}
         if left:
