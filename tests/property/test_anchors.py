@@ -64,3 +64,10 @@ def test_the_grid_finds_the_least_time_of_a_move() -> None:
         late_s = anchors.Reach(show, robot).lateness()[-1]
         assert np.isclose(0.1 + late_s, least_s, atol=MOST_S)
         assert 0.1 + late_s >= least_s
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_advice_that_is_followed_suffices(seed: int) -> None:
+    told = anchors.play(seed, Namespace(refused=True))
+    assert told.outcome == "refused"
+    assert not told.broken

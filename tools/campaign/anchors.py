@@ -6,6 +6,7 @@ scaled to 1.005 to 1.2 times the least duration with which all of its anchors ca
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -111,6 +112,24 @@ def least_scale(show: Sequence, robot: Robot) -> float:
     return ratio
 
 
+def _advice_fails(show: Sequence, robot: Robot, message: str) -> tuple[str, ...]:
+    """Return why the advice of a refusal, followed once, does not suffice; nothing if it does."""
+    if "Give it" not in message:
+        return () if "late" not in message else (f"no advice: {message}",)
+    times = re.findall(r"(it|at ([0-9.]+) s) ([0-9.]+) s more", message.partition(". Give ")[2])
+    (at_s,) = re.findall(r"anchor at ([0-9.]+) s", message)
+    more_s = {other or at_s: float(by_s) for _, other, by_s in times}
+    frames, later_s = [], 0.0
+    for frame in show.keyframes:
+        later_s += more_s.pop(f"{frame.at_s:g}", 0.0)
+        frames.append(replace(frame, at_s=(frame.at_s or 0.0) + later_s))
+    try:
+        plan(replace(show, keyframes=tuple(frames)), robot)
+    except PlanningError as error:
+        return (f"{message}; followed: {error}",)
+    return ()
+
+
 def play(seed: int, options: argparse.Namespace) -> Told:
     """Plan one show with anchors that can be met, or with `--refused` one with too little time."""
     show, robot = any_show(seed)
@@ -124,7 +143,8 @@ def play(seed: int, options: argparse.Namespace) -> Told:
         lateness = Reach(show, robot).lateness()
         frames = zip(lateness, show.keyframes, strict=True)
         is_possible = all(late_s <= 0.0 for late_s, frame in frames if frame.is_anchor)
-        return Told("refused", (str(error),) if is_possible else (), tuple(about))
+        broken = _advice_fails(show, robot, str(error))
+        return Told("refused", (str(error), *broken) if is_possible else broken, tuple(about))
     broken = []
     for mark, frame in zip(trajectory.marks, show.keyframes, strict=True):
         late_s = mark.planned_s - (frame.at_s or 0.0)

@@ -29,6 +29,7 @@
 | `verify.py`     | independent check against all limits                 | tracks, layers, planner |
 | `kept_plans.py` | plans on disk, verified again when they are loaded   | planner, layers         |
 | `explain.py`    | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
+| `more_time.py`  | how much more time anchors need that are missed      | planner                 |
 | `eases.py`      | where `spline` or `smooth` makes a motion later      | cli                     |
 | `plot.py`       | a picture of a trajectory                            | cli                     |
 

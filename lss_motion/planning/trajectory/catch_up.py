@@ -350,6 +350,7 @@ class _Sweep:
             whole, is_met = self._unhurried(fastest, late_s)
             if not is_met and self._early(whole, late_s):
                 whole, is_met = self._settled(whole, late_s)
+                whole = self._kept(whole, late_s)
             lateness_s = self.dues.lateness(whole, late_s)
             if is_met or to_s >= edge_s or lateness_s[-1] <= LATE_MIN_S:
                 break
@@ -408,6 +409,20 @@ class _Sweep:
                 raise _RateJumpError
             capped_s |= set(found) if found[1] in capped_s else {found[1]}
             fastest = self._solved(fastest.from_s, fastest.to_s, calm_keys_s=tuple(capped_s))
+
+    def _kept(self, whole: RateWindow, late_s: float) -> RateWindow:
+        """Return the window with its keys and holds kept again, where its end was solved anew."""
+        inside = (self.free_s[:, 0] >= whole.from_s) & (self.free_s[:, 1] <= whole.to_s)
+        if not inside.any():
+            return whole
+        spans_s = self.free_s[inside]
+        found = kept_keys(self.task, whole, None, spans_s, self.dues, late_s)
+        if found is None:
+            calm = self._solved(whole.from_s, float(spans_s[-1, 1]), until_s=-math.inf)
+            found = kept_keys(self.task, whole, calm, spans_s, self.dues, late_s)
+        if not isinstance(found, KeptKeys):
+            raise _RateJumpError
+        return found.window
 
     def _cut_behind(self, keys: KeptKeys) -> tuple[RateWindow, bool]:
         """Return the window up to where the author's pace begins on time, and whether it does."""

@@ -38,6 +38,17 @@ STRETCH_MIN_S: Final = 1e-5
 """Spans slowed by less are not reported: a hundredth of a millisecond."""
 
 
+class MissedAnchorError(PlanningError):
+    """An anchor is `late_s` late; more time is needed before keyframe `index`."""
+
+    def __init__(
+        self, reason: str, *, joint: str | None, time_s: float | None, index: int, late_s: float
+    ) -> None:
+        super().__init__(reason, joint=joint, time_s=time_s)
+        self.index = index
+        self.late_s = late_s
+
+
 def slow_spans(
     task: RateTask,
     joints: Sequence[str],
@@ -208,7 +219,8 @@ def check_anchors(
                 raise _missed(show, index, float(due), float(planned), stretched)
     late_s = clock.duration_s - float(authored(clock.path_s[-1:])[0])
     if show.loop != 1 and late_s > ANCHOR_TOLERANCE_S:
-        raise _missed(show, anchors[0], 0.0, late_s, stretched, after=" in the passes after this")
+        last = len(show.keyframes) - 1
+        raise _missed(show, anchors[0], 0.0, late_s, stretched, after=" in each pass", needs=last)
 
 
 def place_of(show: Show, keyframe: Keyframe) -> str:
@@ -225,7 +237,8 @@ def _missed(
     stretched: Sequence[SlowSpan],
     *,
     after: str = "",
-) -> PlanningError:
+    needs: int | None = None,
+) -> MissedAnchorError:
     keyframe = show.keyframes[index]
     place = place_of(show, keyframe)
     name = f" {keyframe.label!r}" if keyframe.label else ""
@@ -240,9 +253,11 @@ def _missed(
             f"{worst.unit} between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed "
             f"{worst.allowed:g} {worst.unit}"
         )
-    return PlanningError(
+    return MissedAnchorError(
         f"{place}anchor{name} at {keyframe.at_s:g} s cannot be met{after}, it would be "
-        f"{late_s:.3f} s late{why}. Give it {late_s:.3f} s more, or a smaller move",
+        f"{late_s:.3f} s late{why}",
         joint=joint,
         time_s=keyframe.at_s,
+        index=index if needs is None else needs,
+        late_s=late_s,
     )

@@ -154,9 +154,10 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
     _check_length(track)
 
     def make() -> Trajectory:
+        from lss_motion.planning.trajectory.more_time import planned_or_advised
         from lss_motion.planning.trajectory.smoothing import smooth_track
 
-        return smooth_track(track, robot)
+        return planned_or_advised(track, robot, smooth_track)
 
     name = cache_name(track, robot)
     return _placed(kept_plan(name, make, robot), track)

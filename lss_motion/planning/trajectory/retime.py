@@ -5,7 +5,7 @@ windows around the segments where it does are given to the solver. They are wide
 reached at both of their ends, so that the result is that of solving the whole path.
 
 `Layout` holds the paths of all passes that differ. `authored_clock` and `stopping_clock` turn rates
-into a clock. `slowed_to`, `scaled` and `least_fit_s` serve durations that the author gives.
+into a clock. `slowed_to` and `scaled` serve durations that the author gives.
 
 `with_reserve` keeps a part of the acceleration free where a joint would use all of it for long: a
 servo whose ramps are no steeper than its plan cannot make up for what its control loop and its line
@@ -77,9 +77,6 @@ REST_RATIO: Final = 1e-9
 
 FIT_TOLERANCE_S: Final = 0.001
 """A fitted pass is as long as requested, to the millisecond."""
-
-FIT_STEPS: Final = 24
-"""Bisections to find the least feasible duration: a ratio of 1e-7."""
 
 
 class Layout(Struct, frozen=True, kw_only=True):
@@ -510,24 +507,6 @@ def scaled(sequence: Show, wanted_s: float) -> Show:
             for frame in sequence.keyframes
         ),
     )
-
-
-def least_fit_s(sequence: Show, robot: Robot) -> float:
-    """Return the least duration at which no span must be slowed, rounded up to milliseconds."""
-
-    def is_feasible(duration_s: float) -> bool:
-        layout = laid_out(scaled(sequence, duration_s), robot)
-        is_authored = np.array_equal(layout.spacing.path_s, layout.spacing.authored_s)
-        return bool(is_authored and not segments_over_limits(layout.task({})).any())
-
-    high_s = sequence.fit_duration_s or 0.0
-    while not is_feasible(high_s):
-        high_s *= 2.0
-    low_s = 0.5 * high_s
-    for _ in range(FIT_STEPS):
-        middle_s = 0.5 * (low_s + high_s)
-        low_s, high_s = (low_s, middle_s) if is_feasible(middle_s) else (middle_s, high_s)
-    return math.ceil(high_s * 1000.0) / 1000.0
 
 
 RELENTLESS_S: Final = 2.5

@@ -279,12 +279,11 @@ class _Rounds:
         try:
             base = planned_layout(laid_out(self.timed, self.robot, margins, may_flow=self.may_flow))
         except PlanningError as error:
-            raise PlanningError(
-                f"{error.reason}. That is because of smooth_s or jerk_max_deg_s3: without, "
-                "the motion is possible",
-                joint=error.joint,
-                time_s=error.time_s,
-            ) from error
+            error.reason += (
+                ". That is because of smooth_s or jerk_max_deg_s3: without, the motion is possible"
+            )
+            error.args = (error.reason,)
+            raise
         if base.middle.duration_s / step_s > KNOTS_MAX:
             raise PlanningError(
                 f"smoothing needs more than {KNOTS_MAX:,} polynomials; use a longer smooth_s or "

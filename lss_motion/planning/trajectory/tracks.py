@@ -27,7 +27,6 @@ from lss_motion.planning.trajectory.retime import (
     Layout,
     authored_clock,
     laid_out,
-    least_fit_s,
     scaled,
     segments_over_limits,
     slowed_to,
@@ -214,13 +213,9 @@ def of_passes(layout: Layout, motions: Sequence[PathMotion], **details: Any) -> 
 def _fitted(sequence: Show, robot: Robot) -> Trajectory:
     """Return the plan with the author's times scaled to the duration, which is met or refused."""
     wanted_s = sequence.fit_duration_s or 0.0
-    layout = laid_out(scaled(sequence, wanted_s), robot)
-    trajectory = planned_layout(layout)
-    if any(
-        abs(motion.duration_s - wanted_s) > FIT_TOLERANCE_S
-        for motion in (trajectory.first, trajectory.middle, trajectory.last)
-    ):
-        least_s = least_fit_s(sequence, robot)
+    trajectory = _lasting(sequence, robot, wanted_s)
+    if not _lasts(trajectory, wanted_s):
+        least_s = _least_fit_s(sequence, robot)
         worst = max(trajectory.stretched, key=lambda stretch: stretch.by_s)
         raise PlanningError(
             f"one pass cannot be done in {wanted_s:g} s with the author's proportions: joint "
@@ -231,6 +226,35 @@ def _fitted(sequence: Show, robot: Robot) -> Trajectory:
             time_s=worst.from_s,
         )
     return verified(trajectory, sequence, robot)
+
+
+def _lasting(sequence: Show, robot: Robot, wanted_s: float) -> Trajectory:
+    return planned_layout(laid_out(scaled(sequence, wanted_s), robot))
+
+
+def _lasts(trajectory: Trajectory, wanted_s: float) -> bool:
+    """Return whether every pass is as long as wanted."""
+    return all(
+        abs(motion.duration_s - wanted_s) <= FIT_TOLERANCE_S
+        for motion in (trajectory.first, trajectory.middle, trajectory.last)
+    )
+
+
+def _least_fit_s(sequence: Show, robot: Robot) -> float:
+    """Return a duration that was planned with, the least one to a millisecond, rounded up."""
+
+    def is_feasible(duration_ms: int) -> bool:
+        duration_s = duration_ms / 1000.0
+        return _lasts(_lasting(sequence, robot, duration_s), duration_s)
+
+    high = max(1, math.ceil(1000.0 * (sequence.fit_duration_s or 0.0)))
+    low = 0
+    while not is_feasible(high):
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if is_feasible(middle) else (middle, high)
+    return high / 1000.0
 
 
 class ParallelPass(Struct, frozen=True, kw_only=True):
