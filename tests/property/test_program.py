@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from lss_motion.planning.program import segments
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.program.fit import TimedFit
 from lss_motion.planning.program.line import LineSchedule, line_use
+from lss_motion.planning.program.model import received_us
 from lss_motion.planning.program.moves import fitted_profiles, profiles_from_rest, replayed
 from lss_motion.planning.program.reference_grid import GRID_S, LimitArrays, Reference, ServoLimits
 from lss_motion.planning.program.response import (
@@ -27,6 +29,7 @@ from lss_motion.planning.program.response import (
 from lss_motion.planning.program.search import SEGMENT_MIN_S
 from lss_motion.planning.program.text import from_text, to_text
 from lss_motion.planning.program.verify import profiles
+from lss_motion.planning.shows import load
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.profile import Piece, Profile, profile_lead_s, trapezoid, travel_speed
@@ -38,6 +41,7 @@ from lss_motion.units import line_time_ns
 
 LAWS = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 ST1 = SERVO_MODELS["LSS-ST1"]
+SEQUENCES = Path(__file__).resolve().parents[2] / "sequences"
 angles = st.floats(-180.0, 180.0)
 speeds = st.floats(-400.0, 400.0)
 ramps = st.sampled_from([50.0, 300.0, 1000.0])
@@ -492,6 +496,26 @@ def check_limits(joint, program, start_s, _position_deg, speed_deg_s, accel_deg_
     assert np.abs(accel_deg_s2).max() <= joint.accel_max_deg_s2 + 1e-6
 
 
+def check_commands(program, robot):
+    """No command asks for more than the speed limit: after a restart the servo has no SD."""
+    predicted = profiles(program, robot)
+    joints = {joint.servo_id: joint for joint in robot.joints.values()}
+    for move in program.moves:
+        joint = joints[move.servo_id]
+        from_deg = predicted[joint.name].at(
+            received_us(move, robot.buses[move.bus].baud_bps) / 1e6
+        )[0]
+        away_deg = abs(move.target_wire / joint.model.wire_per_deg - from_deg)
+        speed_deg_s = away_deg / (1e-3 * move.duration_ms)
+        assert speed_deg_s <= 1.001 * joint.speed_max_deg_s, move
+
+
+@pytest.mark.parametrize("name", ["fastest", "stages/hall/scare", "wave", "hexapod_walk"])
+def test_no_command_of_an_example_asks_for_more_than_the_speed_limit(name):
+    sequence, robot = load(SEQUENCES / f"{name}.yaml", None)
+    check_commands(compile_program(plan(sequence, robot), robot), robot)
+
+
 @settings(LAWS, max_examples=settings().max_examples // 4)
 @given(shows())
 def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(show):
@@ -509,6 +533,7 @@ def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(sh
         wanted = round(joint.servo_deg(float(planned[-1, column])) * joint.model.wire_per_deg)
         assert predicted[name].at(999.0)[0] == pytest.approx(wanted / joint.model.wire_per_deg)
         check_limits(joint, program, *predicted[name].table)
+    check_commands(program, robot)
     assert program.line_use["main"].overlaps == 0
     text = to_text(program)
     assert to_text(from_text(text, robot)) == text

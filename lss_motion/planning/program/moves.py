@@ -290,10 +290,10 @@ def durations_ms(
     speed = np.maximum(speed_deg_s, SPEED_LEAST_DEG_S)
     requested_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
     duration_ms = np.rint(MS_PER_S * requested_s)
-    np.minimum(duration_ms, DURATION_MAX_MS, out=duration_ms)
-    np.maximum(duration_ms, DURATION_MIN_MS, out=duration_ms)
     away_deg = np.abs(target_deg - start.position_deg)
-    duration_ms += away_deg * MS_PER_S > limits.speed_max_deg_s * duration_ms
+    least_ms = np.ceil(away_deg * MS_PER_S / limits.speed_max_deg_s)
+    np.maximum(duration_ms, np.maximum(least_ms, DURATION_MIN_MS), out=duration_ms)
+    np.minimum(duration_ms, DURATION_MAX_MS, out=duration_ms)
     return duration_ms
 
 
