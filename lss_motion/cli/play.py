@@ -399,7 +399,7 @@ def _played(arguments: argparse.Namespace, robot: Robot, *, is_asked: bool) -> P
 def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
     if arguments.faults is None:
         return ()
-    from lss_motion.sim.faults_file import load_faults
+    from lss_motion.sim.faults import load_faults
 
     return load_faults(arguments.faults, robot)
 

@@ -107,7 +107,7 @@ def _sim(arguments: argparse.Namespace) -> int:
     robot = load_robot(arguments.robot)
     faults: tuple[Fault, ...] = ()
     if arguments.faults is not None:
-        from lss_motion.sim.faults_file import load_faults
+        from lss_motion.sim.faults import load_faults
 
         faults = load_faults(arguments.faults, robot)
         if any(fault.kind is FaultKind.OVERSLEEP for fault in faults):

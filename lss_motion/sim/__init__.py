@@ -12,7 +12,7 @@
 | `horns` | how horns follow their profiles, with load and play | `motors` |
 | `profile` | the trajectory that a servo generates for one move | `horns`, `servo` |
 | `physics` | every physical number, with its source | all |
-| `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |
+| `faults` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |
 | `deviation` | how the robot differs from what is assumed (`--sim`) | `connection`, `perform` |
 | `hand` | a person who moves limp joints by hand | `motors`, `lss-motion sim` |
 

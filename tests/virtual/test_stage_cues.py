@@ -12,8 +12,7 @@ from campaign.witness import Witness
 from lss_motion.errors import BusError
 from lss_motion.playing import run as run_module
 from lss_motion.robot.on_fault import Cause
-from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.faults_file import SENSOR_NAMES
+from lss_motion.sim.faults import SENSOR_NAMES, Fault, FaultKind
 from lss_motion.stage import running
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage

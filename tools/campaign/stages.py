@@ -28,8 +28,7 @@ from msgspec.structs import replace
 
 from campaign import Told
 from lss_motion.playing import run as playing_run
-from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.faults_file import SENSOR_NAMES
+from lss_motion.sim.faults import SENSOR_NAMES, Fault, FaultKind
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.load import load_stage
 from lss_motion.stage.log import StageLog

@@ -171,7 +171,7 @@ def play_stage(
     path: str, lasts_s: float, acts: list[tuple[float, str, str]], faults: str = ""
 ) -> Iterator[tuple[str, Any]]:
     """Play a stage; yield `record`s of its log and `report`s of its runs, as plain values."""
-    from lss_motion.sim.faults_file import load_faults
+    from lss_motion.sim.faults import load_faults
     from lss_motion.stage.check import plan_stage
     from lss_motion.stage.load import load_stage
     from lss_motion.stage.running import Options, StageRun

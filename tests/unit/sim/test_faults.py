@@ -6,8 +6,7 @@ from lss_motion.errors import InputError
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.faults_file import load_faults
+from lss_motion.sim.faults import Fault, FaultKind, load_faults
 from lss_motion.sim.physics import Physics
 from tests.joints import joint
 from tests.tables import titled
