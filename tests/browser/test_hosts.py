@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shutil
 import signal
-import socket
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from tests.network import free_port
 from tests.programs import ProgramBeside, command
 
 pytest.importorskip("zenoh", reason="needs the extra `network`")
@@ -30,9 +30,7 @@ def duet(tmp_path, monkeypatch):
     monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path / "cache"))
     for name in ("robots", "parts", "stages"):
         shutil.copytree(EXAMPLES / name, tmp_path / name)
-    with socket.socket() as own:
-        own.bind(("127.0.0.1", 0))
-        port = own.getsockname()[1]
+    port = free_port()
     path = tmp_path / "stages" / "duet.yaml"
     path.write_text(path.read_text().replace("127.0.0.1:7447", f"127.0.0.1:{port}"))
     words = command("serve", path, "--figure", "right")

@@ -14,6 +14,7 @@ from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
+from tests.pair import ROBOT
 from tests.programs import ProgramBeside, command, terminal_command
 from tests.served_bus import served_bus
 from tests.swing import until
@@ -22,15 +23,7 @@ from tests.timed_moves import is_move
 
 pytestmark = pytest.mark.realtime
 
-ROBOT = """
-robot: pair
-resume_s: 1.5
-joints:
-  pan:  {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-  tilt: {id: 2, model: LSS-ST1, range_deg: [-40, 60], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-poses:
-  home: {pan: 0, tilt: 0}
-"""
+PAIR = f"{ROBOT}resume_s: 1.5\n"
 SWAY = """
 sequence: sway
 robot: robot.yaml
@@ -46,7 +39,7 @@ SESSION_BEFORE = [b"#1EM1", b"#1AA100", b"#1AD100", b"#1SD3600"]
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "robot.yaml").write_text(PAIR)
     return tmp_path
 
 
@@ -225,7 +218,7 @@ def test_a_port_that_vanishes_is_an_error_that_says_what_became_of_robot_and_sho
 @pytest.mark.slow
 def test_a_port_that_is_plugged_in_again_is_played_on(folder):
     report = folder / "r.json"
-    (folder / "robot.yaml").write_text(ROBOT.replace("resume_s: 1.5", "resume_s: 20"))
+    (folder / "robot.yaml").write_text(f"{ROBOT}resume_s: 20\n")
     with simulated(folder) as port:
         with playing(folder, port, "--report", report, loop="3") as process:
             process.wait_for("playing")

@@ -7,11 +7,9 @@ import json
 import os
 import signal
 import socket
-import threading
 import time
 import urllib.error
 import urllib.request
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
@@ -21,6 +19,7 @@ pytest.importorskip("pythonosc", reason="pip install 'lss-motion[stage,studio]'"
 
 from pythonosc.osc_message_builder import OscMessageBuilder
 
+from tests.network import free_port, web_hook
 from tests.programs import ProgramBeside, command
 from tests.swing import ROBOT, WAIT_S, until
 
@@ -46,12 +45,6 @@ listen: {{http: "127.0.0.1:{http}", osc: "127.0.0.1:{osc}"}}
 alerts: {{webhook: "http://127.0.0.1:{hook}/"}}
 log: {{ring_s: 0}}
 """
-
-
-def free_port(kind=socket.SOCK_STREAM):
-    with socket.socket(socket.AF_INET, kind) as own:
-        own.bind(("127.0.0.1", 0))
-        return own.getsockname()[1]
 
 
 class Hall:
@@ -121,29 +114,8 @@ def hall():
 
 @pytest.fixture
 def hook():
-    """A web hook; `got` has what was posted."""
-
-    class Handler(BaseHTTPRequestHandler):
-        got = []  # noqa: RUF012
-
-        def do_POST(self):
-            size = int(self.headers["content-length"])
-            self.got.append(json.loads(self.rfile.read(size)))
-            self.send_response(204)
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    Handler.got.clear()
-    server = HTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield server.server_port, Handler.got
-    server.shutdown()
-    thread.join(WAIT_S)
-    assert not thread.is_alive()
-    server.server_close()
+    with web_hook() as (port, got):
+        yield port, got
 
 
 def far(bus):

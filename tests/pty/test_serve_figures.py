@@ -20,8 +20,8 @@ from rig.robot import verdict_of
 
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
+from tests.network import free_port
 from tests.programs import ProgramBeside, command
-from tests.pty.test_serve import free_port
 from tests.pty.test_studio import children, post
 from tests.served_bus import served_bus
 from tests.swing import ROBOT, WAIT_S, until

@@ -23,6 +23,7 @@ from lss_motion.stage.triggers.devices import MidiPort
 from lss_motion.stage.triggers.mqtt import MqttLink, broker_of
 from lss_motion.stage.triggers.osc import OscPort
 from lss_motion.stage.triggers.sources import AllowList, Gate
+from tests.network import free_port
 from tests.programs import ProgramBeside
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
@@ -52,12 +53,6 @@ async def until(condition):
 async def ended(program):
     """Wait until a program has ended; return its exit code."""
     return await asyncio.wait_for(program.wait(), WAIT_S)
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
-        own.bind(("127.0.0.1", 0))
-        return own.getsockname()[1]
 
 
 class TimeTag(ctypes.Structure):
@@ -93,7 +88,7 @@ def test_liblo_sends_and_receives():
             state=lambda: {"state": "plays", "show": "scare"},
         )
         await port.open(("127.0.0.1", 0))
-        to, back = str(port.place[1]), free_port()
+        to, back = str(port.place[1]), free_port(socket.SOCK_DGRAM)
         with ProgramBeside(["oscdump", "-L", str(back)]) as dump:
             await asyncio.sleep(0.2)
             for words in (
@@ -234,9 +229,7 @@ def test_a_note_of_another_program_comes_through_jack():
 def test_mosquitto_brings_cues_and_keeps_the_state(tmp_path):
     needs("mosquitto", "mosquitto_pub", install="sudo apt install mosquitto mosquitto-clients")
     pytest.importorskip("paho.mqtt", reason="pip install 'lss-motion[stage]'")
-    with socket.socket() as own:
-        own.bind(("127.0.0.1", 0))
-        number = own.getsockname()[1]
+    number = free_port()
     config = tmp_path / "broker.conf"
     config.write_text(f"listener {number} 127.0.0.1\nallow_anonymous true\n")
     done, said = [], []

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import io
+
 import pytest
 
 from lss_motion.cli import play
@@ -35,3 +37,14 @@ def played(tmp_path_factory):
     words += ["--log", str(folder / "a.log"), "--report", str(folder / "a.json")]
     assert play.main(words) == EXIT_FINISHED
     return folder
+
+
+@pytest.fixture
+def at_keyboard(monkeypatch):
+    """Return a function that makes a person type an answer."""
+
+    def types(text):
+        monkeypatch.setattr("lss_motion.cli.terminal.is_at_keyboard", lambda: True)
+        monkeypatch.setattr("sys.stdin", io.StringIO(text))
+
+    return types

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import py_compile
@@ -55,15 +54,6 @@ def folder(tmp_path, monkeypatch):
     }.items():
         Path(name).write_text(text)
     return tmp_path
-
-
-@pytest.fixture
-def at_keyboard(monkeypatch):
-    def types(text):
-        monkeypatch.setattr("lss_motion.cli.terminal.is_at_keyboard", lambda: True)
-        monkeypatch.setattr("sys.stdin", io.StringIO(text))
-
-    return types
 
 
 def ran(folder):

@@ -9,15 +9,7 @@ import pytest
 from lss_motion.cli.by_hand import HELD_NS, JogControls
 from lss_motion.playing.player.events import Phase
 from lss_motion.robot.load import load_robot
-
-ROBOT = """\
-robot: pair
-joints:
-  pan:  {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-  tilt: {id: 2, model: LSS-ST1, range_deg: [-40, 60], speed_max_deg_s: 180, accel_max_deg_s2: 600}
-poses:
-  home: {pan: 0, tilt: 0}
-"""
+from tests.pair import ROBOT
 
 
 class Jogged:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from contextlib import contextmanager
 
 import pytest
@@ -219,17 +218,6 @@ ASKED = [
     (["UPDATE"], "enter the firmware update mode"),
     (["CONFIRM"], "carry out the DEFAULT or UPDATE"),
 ]
-
-
-@pytest.fixture
-def at_keyboard(monkeypatch):
-    """Return a function that makes a person type an answer."""
-
-    def types(text):
-        monkeypatch.setattr("lss_motion.cli.terminal.is_at_keyboard", lambda: True)
-        monkeypatch.setattr("sys.stdin", io.StringIO(text))
-
-    return types
 
 
 def moves(bus):

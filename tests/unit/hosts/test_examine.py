@@ -12,6 +12,7 @@ from lss_motion.cli.main import main
 from lss_motion.stage.hosts.examine import rows_of
 from lss_motion.stage.hosts.messages import FigureFinding, FigureStatus, Findings, hash_of
 from lss_motion.stage.hosts.remote_figures import RemoteFigure
+from tests.network import free_port
 from tests.programs import ProgramBeside, command
 
 ROOT = Path(__file__).parents[3]
@@ -28,11 +29,7 @@ shows: {{wave: {{left: {wave}}}}}
 
 @pytest.fixture
 def stage(tmp_path):
-    import socket
-
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port = listener.getsockname()[1]
+    port = free_port()
     path = tmp_path / "hall.yaml"
     robot = ROOT / "sequences" / "robots" / "desk_arm.yaml"
     path.write_text(STAGE.format(robot=robot, wave=ROOT / "sequences" / "wave.yaml", port=port))

@@ -10,12 +10,7 @@ pytest.importorskip("zenoh", reason="needs the extra `network`")
 from lss_motion.errors import BusError
 from lss_motion.stage.hosts.messages import ClockAnswer, ClockQuestion, hash_of, packed, parse
 from lss_motion.stage.hosts.peer import NetworkSettings, Peer
-
-
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
+from tests.network import free_port
 
 
 def settings(name, port, **changes):

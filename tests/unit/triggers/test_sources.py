@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
 
 from lss_motion.stage.triggers.mqtt import WebHook
 from lss_motion.stage.triggers.sources import (
@@ -18,6 +15,7 @@ from lss_motion.stage.triggers.sources import (
     Crossings,
     Gate,
 )
+from tests.network import web_hook
 
 
 def test_only_addresses_of_the_list_may_send():
@@ -65,23 +63,10 @@ def test_a_value_crosses_a_threshold_up_and_down_once():
 
 
 def test_an_alert_is_posted_until_it_is_taken():
-    got, said = [], []
+    said = []
 
-    class Hook(BaseHTTPRequestHandler):
-        def do_POST(self):
-            got.append(json.loads(self.rfile.read(int(self.headers["content-length"]))))
-            self.send_response(503 if len(got) == 1 else 200)
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    server = HTTPServer(("127.0.0.1", 0), Hook)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-
-    async def send():
-        hook = WebHook(f"http://127.0.0.1:{server.server_port}/", said.append, pause_s=0.01)
+    async def send(number):
+        hook = WebHook(f"http://127.0.0.1:{number}/", said.append, pause_s=0.01)
         hook.send({"text": "elbow hot"})
         hook.send({"text": "port lost"})
         await hook.close()
@@ -89,11 +74,8 @@ def test_an_alert_is_posted_until_it_is_taken():
         gone.send({"text": "never"})
         await gone.close()
 
-    asyncio.run(send())
-    server.shutdown()
-    thread.join(10.0)
-    assert not thread.is_alive()
-    server.server_close()
+    with web_hook(503) as (number, got):
+        asyncio.run(send(number))
     assert [one["text"] for one in got] == ["elbow hot", "elbow hot", "port lost"]
     assert len(said) == 1
     assert "did not take it" in said[0]
