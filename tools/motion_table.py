@@ -24,15 +24,9 @@ from typing import TYPE_CHECKING
 
 from benches.in_phase import bound_ratios, horn_rms_deg, with_and_without_feedback
 from lss_motion.errors import LssMotionError
-from lss_motion.interchange import (
-    ForeignMotion,
-    LabelTrack,
-    Measure,
-    imported,
-    load_map,
-    map_template,
-    read_motions,
-)
+from lss_motion.interchange.importing import imported, read_motions
+from lss_motion.interchange.mapping import load_map, map_template
+from lss_motion.interchange.reader import ForeignMotion, LabelTrack, Measure
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.load import load_robot
@@ -40,7 +34,7 @@ from lss_motion.robot.load import load_robot
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lss_motion.interchange import RefusedMotion
+    from lss_motion.interchange.reader import RefusedMotion
     from lss_motion.robot.model import Robot
 
 HEAD = (

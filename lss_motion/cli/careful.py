@@ -123,6 +123,23 @@ def _today() -> str:
     return datetime.now(tz=UTC).date().isoformat()
 
 
+def run_carefully(
+    arguments: argparse.Namespace,
+    run: Callable[[float | None], int | None],
+    careful: Callable[[], int],
+) -> int:
+    """Run, after a careful run if that is asked for; return the exit code.
+
+    `run` gets the rate after a careful run, or None; it returns None where a person wants a careful
+    run first, which it offers only without a rate.
+    """
+    code = None if arguments.careful else run(None)
+    if code is None:
+        code = careful() or run(CAREFUL_RATE)
+    assert code is not None, "it is offered once"
+    return code
+
+
 def careful_run(
     arguments: argparse.Namespace,
     robot: Robot,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
+from lss_motion.cli.careful import Learning, careful_run, run_carefully
 from lss_motion.cli.commands import Parser, add_command, add_version, prepared
 from lss_motion.cli.dialog import (
     Confirmation,
@@ -195,21 +195,17 @@ def play(arguments: argparse.Namespace) -> int:
     is_asked = not arguments.virtual and must_ask(arguments, robot)
     is_real = not is_simulated(robot)
     learning = Learning(robot, show.program.start_deg, is_kept=is_real)
-    code = None
-    if not arguments.careful:
-        code = _play(arguments, show, robot, learning, modules, is_asked=is_asked)
-    if code is None:
-        joints = show.program.start_deg
+
+    def careful() -> int:
         print_line = discard if arguments.quiet else put
         faults, deviation = _faults(arguments, robot), _deviation(arguments, robot)
-        given = (arguments, robot, joints, learning, print_line)
-        if code := careful_run(*given, faults=faults, deviation=deviation):
-            return code
-        code = _play(
-            arguments, show, robot, learning, modules, is_asked=is_asked, rate=CAREFUL_RATE
-        )
-    assert code is not None, "it is offered once"
-    return code
+        given = (arguments, robot, show.program.start_deg, learning, print_line)
+        return careful_run(*given, faults=faults, deviation=deviation)
+
+    def run(rate: float | None) -> int | None:
+        return _play(arguments, show, robot, learning, modules, is_asked=is_asked, rate=rate)
+
+    return run_carefully(arguments, run, careful)
 
 
 def _play(

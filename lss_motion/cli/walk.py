@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from lss_motion.cli.careful import CAREFUL_RATE, Learning, careful_run
+from lss_motion.cli.careful import Learning, careful_run, run_carefully
 from lss_motion.cli.commands import add_command, reader
 from lss_motion.cli.dialog import Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, put
@@ -111,16 +111,12 @@ def _walk(arguments: argparse.Namespace) -> int:
     robot = with_port(robot, arguments.port)
     joints = [name for leg in gait.legs for name in leg.joints]
     learning = Learning(robot, joints, is_kept=not api.is_simulated(robot))
-    code = None
-    if not arguments.careful:
-        code = _walked(arguments, gait, robot, top, learning)
-    if code is None:
-        print_line = discard if arguments.quiet else put
-        if code := careful_run(arguments, robot, joints, learning, print_line, what="walk begins"):
-            return code
-        code = _walked(arguments, gait, robot, top, learning, speed_ratio=CAREFUL_RATE)
-    assert code is not None, "it is offered once"
-    return code
+    print_line = discard if arguments.quiet else put
+    return run_carefully(
+        arguments,
+        lambda rate: _walked(arguments, gait, robot, top, learning, speed_ratio=rate),
+        lambda: careful_run(arguments, robot, joints, learning, print_line, what="walk begins"),
+    )
 
 
 def _walked(

@@ -123,11 +123,16 @@ def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
         total += f"by less than {LATE_MIN_S:g} s in all"
     else:
         total += f"{lost_s:.3f} s in all, most by {joint!r} ({by_s[joint]:.3f} s)"
-    shown = spans if is_whole else spans[:WORST_COUNT]
-    lines = [total, *(f"slower: {span.text}" for span in shown)]
-    if rest := spans[len(shown) :]:
-        lines.append(f"and {counted(rest, 'more span')} slowed less (check --all lists them)")
-    return lines
+    texts = [f"slower: {span.text}" for span in spans]
+    return [total, *_worst(texts, "more span", "slowed less", is_whole=is_whole)]
+
+
+def _worst(texts: Sequence[str], one: str, less: str, *, is_whole: bool) -> list[str]:
+    """Return the first texts, which are about the worst, and how many others there are."""
+    shown = list(texts if is_whole else texts[:WORST_COUNT])
+    rest = len(texts) - len(shown)
+    more = f"and {counted(rest, one)} {less} (check --all lists them)"
+    return [*shown, *([more] if rest else [])]
 
 
 def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
@@ -140,10 +145,8 @@ def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
         f"angle given up to keep the time: {counted(spans, 'span')}, {whole_s:.3f} s in all, at "
         f"most {spans[0].by_deg:.1f} deg by {spans[0].joint!r}"
     ]
-    shown = spans if is_whole else spans[:WORST_COUNT]
-    lines += [f"less far: {span.text}" for span in shown]
-    if rest := spans[len(shown) :]:
-        lines.append(f"and {counted(rest, 'more span')} less far off (check --all lists them)")
+    texts = [f"less far: {span.text}" for span in spans]
+    lines += _worst(texts, "more span", "less far off", is_whole=is_whole)
     for name in trajectory.joints:
         missed = [key for span in spans if span.joint == name for key in span.missed]
         if missed:
@@ -189,26 +192,19 @@ def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     if not found:
         return ["every keyframe is on time"]
     timed = [mark for mark in trajectory.marks if mark.authored_s is not None]
-    shown = found if is_whole else found[:WORST_COUNT]
     lines = [f"{len(found)} of {counted(timed, 'keyframe')} late, at most {found[0][1]:.3f} s"]
-    lines += [f"late: keyframe {mark_name(mark)} is {late_s:.3f} s late" for mark, late_s in shown]
-    if rest := found[len(shown) :]:
-        lines.append(f"and {counted(rest, 'more keyframe')} less late (check --all lists them)")
-    return lines
+    texts = [f"late: keyframe {mark_name(mark)} is {late_s:.3f} s late" for mark, late_s in found]
+    return [*lines, *_worst(texts, "more keyframe", "less late", is_whole=is_whole)]
 
 
 def _rest_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return which rests without a hold became shorter, those that lost most first."""
-    found = shortened_rests(trajectory)
-    shown = found if is_whole else found[:WORST_COUNT]
-    lines = [
+    texts = [
         f"shorter: the rest after keyframe {mark_name(mark)} lasts {mark.rested_s:.3f} s instead "
         f"of {mark.rest_s:g} s, because the motion is late; hold_s at that keyframe keeps a rest"
-        for mark in shown
+        for mark in shortened_rests(trajectory)
     ]
-    if rest := found[len(shown) :]:
-        lines.append(f"and {counted(rest, 'more rest')} shortened less (check --all lists them)")
-    return lines
+    return _worst(texts, "more rest", "shortened less", is_whole=is_whole)
 
 
 def smoothings(trajectory: Trajectory) -> list[Smoothing]:
@@ -228,12 +224,9 @@ def _smooth_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     joints = {own.joint for own in found}
     by_s = max(own.by_s for own in found)
     cost = f"{by_s:.3f} s longer than without" if by_s > LATE_MIN_S else "no longer than without"
-    shown = found if is_whole else found[:WORST_COUNT]
-    lines = [f"no jump of acceleration: {counted(joints, 'joint')}, {cost}"]
-    lines += [f"smooth: {smooth_text(own)}" for own in shown]
-    if rest := found[len(shown) :]:
-        lines.append(f"and {counted(rest, 'more joint')} smooth (check --all lists them)")
-    return lines
+    texts = [f"smooth: {smooth_text(own)}" for own in found]
+    head = f"no jump of acceleration: {counted(joints, 'joint')}, {cost}"
+    return [head, *_worst(texts, "more joint", "smooth", is_whole=is_whole)]
 
 
 def smooth_text(own: Smoothing) -> str:

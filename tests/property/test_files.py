@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.keys import NAME_PATTERN
-from lss_motion.interchange import read_motion
+from lss_motion.interchange.importing import read_motion
 from lss_motion.interchange.json_motions import BITBOTS
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Joint, Robot

@@ -15,21 +15,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lss_motion.errors import InputError
-from lss_motion.interchange import (
-    EXPORT_NAMES,
-    READERS,
+from lss_motion.interchange.export import EXPORT_NAMES, PlanSamples, exported
+from lss_motion.interchange.importing import READERS
+from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
     LabelTrack,
     Measure,
-    PlanSamples,
     Reader,
     RefusedMotion,
-    exported,
-    reduced,
 )
 from lss_motion.interchange.recorded import interpolated
-from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.interchange.reduce import ROUNDING_DEG, reduced
 from lss_motion.show.model import Interpolation
 
 PAGE = bytearray(512)

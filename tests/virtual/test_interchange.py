@@ -10,15 +10,9 @@ from motion_table import map_for, robot_for
 
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.interchange import (
-    ForeignMotion,
-    Measure,
-    import_motion,
-    imported,
-    load_map,
-    read_motion,
-    read_motions,
-)
+from lss_motion.interchange.importing import import_motion, imported, read_motion, read_motions
+from lss_motion.interchange.mapping import load_map
+from lss_motion.interchange.reader import ForeignMotion, Measure
 from lss_motion.planning import shows
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.program.text import load_program, to_text

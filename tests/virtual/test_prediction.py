@@ -9,7 +9,8 @@ from motion_table import map_for, robot_for
 from msgspec.structs import replace
 
 from benches.in_phase import bound_ratios
-from lss_motion.interchange import imported, load_map, read_motion
+from lss_motion.interchange.importing import imported, read_motion
+from lss_motion.interchange.mapping import load_map
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing import api

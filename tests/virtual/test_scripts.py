@@ -12,7 +12,7 @@ from random import Random
 
 import pytest
 
-from lss_motion.interchange import imported, read_motion
+from lss_motion.interchange.importing import imported, read_motion
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.load import load_robot

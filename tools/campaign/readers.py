@@ -14,7 +14,7 @@ from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
 from campaign import Told
-from lss_motion.interchange import READERS
+from lss_motion.interchange.importing import READERS
 
 if TYPE_CHECKING:
     import argparse

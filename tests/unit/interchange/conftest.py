@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.interchange import ForeignMotion
+from lss_motion.interchange.reader import ForeignMotion
 from lss_motion.robot.load import load_robot
 
 if TYPE_CHECKING:
-    from lss_motion.interchange import Reader
+    from lss_motion.interchange.reader import Reader
     from lss_motion.robot.model import Robot
 
 PATH = Path("motion.file")

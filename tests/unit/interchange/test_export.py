@@ -9,14 +9,9 @@ import pytest
 import yaml
 
 from lss_motion.cli.exchange import FORMATS_IN, FORMATS_OUT, KINDS, MCAP, PROGRAM, SKETCH, SUFFIXES
-from lss_motion.interchange import (
-    EXPORT_NAMES,
-    FORMAT_NAMES,
-    READERS,
-    ForeignMotion,
-    PlanSamples,
-    exported,
-)
+from lss_motion.interchange.export import EXPORT_NAMES, PlanSamples, exported
+from lss_motion.interchange.importing import FORMAT_NAMES, READERS
+from lss_motion.interchange.reader import ForeignMotion
 
 
 @pytest.fixture

@@ -10,10 +10,11 @@ import pytest
 from msgspec.structs import replace
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
-from lss_motion.interchange import Channel, ForeignMotion, Measure, imported, reduced
 from lss_motion.interchange.fitted_keys import fitted_together
+from lss_motion.interchange.importing import imported
+from lss_motion.interchange.reader import Channel, ForeignMotion, Measure
 from lss_motion.interchange.recorded import JointLimits, Recorded, Spans
-from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.interchange.reduce import ROUNDING_DEG, reduced
 from lss_motion.show.load import load_sequence
 from lss_motion.show.model import Interpolation
 from lss_motion.show.write import write_sequence

@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.interchange import (
+from lss_motion.interchange.importing import (
     FORMAT_NAMES,
     import_motion,
     imported,

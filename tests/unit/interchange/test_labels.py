@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 import lss_motion as lss
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.interchange import READERS, LabelStyle, LabelTrack, imported
-from lss_motion.interchange.labels import label_sequence, shape_reader
-from lss_motion.interchange.reader import Span
+from lss_motion.interchange.importing import READERS, imported
+from lss_motion.interchange.labels import LabelStyle, label_sequence, shape_reader
+from lss_motion.interchange.reader import LabelTrack, Span
 
 ROBOT = {
     "robot": "talker",

@@ -9,14 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.interchange import (
-    Channel,
-    ForeignMotion,
-    Measure,
-    load_map,
-    map_template,
-    mapped,
-)
+from lss_motion.interchange.mapping import load_map, map_template, mapped
+from lss_motion.interchange.reader import Channel, ForeignMotion, Measure
 from lss_motion.robot.servo_models import SERVO_MODELS
 
 MOTION_PATH = Path("dance.json")

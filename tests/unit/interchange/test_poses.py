@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from lss_motion.interchange import READERS
+from lss_motion.interchange.importing import READERS
 from lss_motion.interchange.poses import POSES, STEP_S
 from lss_motion.interchange.reader import Measure
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.interchange import Channel, ForeignMotion, Measure, imported, reduced
+from lss_motion.interchange.importing import imported
+from lss_motion.interchange.reader import Channel, ForeignMotion, Measure
 from lss_motion.interchange.recorded import (
     BSPLINE_SHIFT_MAX_DEG,
     JointLimits,
@@ -16,7 +17,7 @@ from lss_motion.interchange.recorded import (
     bspline_values,
     interpolated,
 )
-from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.interchange.reduce import ROUNDING_DEG, reduced
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.show.model import Interpolation, Keyframe, Sequence
 
