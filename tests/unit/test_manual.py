@@ -75,3 +75,11 @@ def test_every_link_of_a_page_leads_to_a_file(path):
     for link in links:
         if not link.startswith("http"):
             assert (path.parent / link).exists(), link
+
+
+def test_what_protects_is_named_with_tests_that_there_are():
+    named = re.findall(r"`([\w/]+\.py):(test_\w+)`", PAGES[1].read_text(encoding="utf-8"))
+    assert len(named) > 15
+    for file, test in named:
+        text = (ROOT / "tests" / file).read_text(encoding="utf-8")
+        assert f"def {test}(" in text, f"{file}:{test}"
