@@ -378,6 +378,21 @@ def of_dialogs(browser: Browser, folder: Path) -> Iterator[Scene]:
         yield own.asks("save_over", "Save over home?", "connected")
 
 
+def of_files(browser: Browser, folder: Path) -> Iterator[Scene]:
+    """Open a robot file and a stage file, and try to pair a tablet where none can come."""
+    Ghost(folder)
+    with opened(browser, folder / "robots" / "owl.yaml") as own:
+        own.page.wait("document.querySelector('.robot-page')")
+        yield own.is_in("at_rest")._replace(name="robot_file")
+        own.click("Pair a tablet")
+        own.page.wait("document.querySelector('.banner-warn')")
+        yield own.is_in("at_rest")._replace(name="pair_refused")
+    (folder / "hall.yaml").write_text(STAGE.format(quiet=""), "utf-8")
+    with opened(browser, folder / "hall.yaml") as own:
+        own.page.wait("document.querySelector('.cues .muted')?.textContent.includes('serve')")
+        yield own.is_in("at_rest")._replace(name="stage_file")
+
+
 @contextmanager
 def opened_again(browser: Browser, studio: Studio) -> Iterator[Opened]:
     """Open the pages of a studio once more."""
@@ -393,6 +408,7 @@ GROUPS: Final[dict[str, Callable[[Browser, Path], Iterator[Scene]]]] = {
     "gone": of_gone,
     "stage": of_a_stage,
     "dialogs": of_dialogs,
+    "files": of_files,
 }
 
 if __name__ == "__main__":

@@ -378,7 +378,7 @@ class CronClock:
         known, text = self._coming.get(expression, (None, ""))
         if known is None or known != self._until:
             found = self.coming(expression, spans)
-            text = on.words if self._until is None else f"{on.words}, not soon"
+            text = on.words if self._until is None else f"{on.words}, in quiet hours only"
             if found is not None and self._until is not None:
                 is_near = found - self._local(self._until) < timedelta(days=1)
                 text = f"next {found:%H:%M}" if is_near else f"next {found:%Y-%m-%d %H:%M}"

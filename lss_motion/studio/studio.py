@@ -102,6 +102,8 @@ class Studio:
             self._document_changed,
         )
         self.desk.pair = self._pair
+        self._is_service = options.views is not None
+        """Whether it runs a stage (`lss-motion serve`)."""
 
     @property
     def url(self) -> str:
@@ -171,10 +173,9 @@ class Studio:
         urls = tuple(f"{one.origin}/" for one in self.addresses if one.host != LOOPBACK)
         if not urls:
             own = next((one for one in own_addresses() if one != LOOPBACK), "ADDRESS")
-            is_stage = self.document.newest.kind == "stage"
             how = (
                 f"write listen: {{http: '{own}:8000'}} into the stage file and start it again"
-                if is_stage
+                if self._is_service
                 else f"end it (Ctrl-C), then: lss-motion studio {self.document.path.name} "
                 f"--listen {own}"
             )

@@ -158,6 +158,36 @@ def test_a_joint_turns_only_while_its_button_is_held(live):
     check_it_stops(bus, begun, len(targets(bus, 1, begun)))
 
 
+SLIDER = "[aria-label='pan: turns there while it is held']"
+
+
+def test_a_joint_follows_its_slider_while_it_is_held(live):
+    """To the angle where it is, not beyond, and no further when it is let go."""
+    page, bus, _ = live
+    box = page.run(
+        f'((b) => [b.x, b.y + b.height / 2, b.width])(document.querySelector("{SLIDER}")'
+        ".getBoundingClientRect())"
+    )
+    x, y, width = box
+    begun = len(bus.lines)
+    page.press_pointer(x + width * 0.6, y)  # 18 degrees of a range from -90 to 90.
+    until(lambda: abs(horn_deg(bus)[0] - 18.0) < 1.5, "it does not come there")
+    page.pointer("mouseMoved", x + width * 0.9, y, buttons=1)
+    until(lambda: horn_deg(bus)[0] > 22.0, "it does not follow")
+    page.pointer("mouseReleased", x + width * 0.9, y)
+    rested(bus, begun)
+    assert 20.0 < horn_deg(bus)[0] < 60.0, "it stops on the way to 72 degrees"
+    assert not targets(bus, 2, begun), "no other joint moves"
+    moved = page.run(
+        f'((b) => [b.x, b.y + b.height / 2, b.width])(document.querySelector("{SLIDER}")'
+        ".getBoundingClientRect())"
+    )
+    assert moved == box, "the slider stays where the pointer is"
+    page.touch(x + width * 0.5, y)
+    until(lambda: abs(horn_deg(bus)[0]) < 1.5, "it does not follow a finger")
+    page.touch()
+
+
 def test_poses_power_and_health(live):
     page, bus, path = live
     # Every control has a name for assistive technology, and no two jog buttons the same.

@@ -110,6 +110,18 @@ MEASURED = """
 """
 
 
+SAID = {
+    "robot_file": "This is a robot file, which has no show.",
+    "pair_refused": "lss-motion studio owl.yaml --listen ",
+    "stage_file": "It is run by: lss-motion serve hall.yaml",
+    "fault": "arm is silent: servo 3 has not answered",
+    "quiet_hours": "quiet hours (until ",
+    "stage_waits": "for the cable of the robot",
+    "no_link": "STOP is still sent",
+}
+"""What a page has to say in a scene, on the Show page."""
+
+
 def check_state(page, scene, table):
     """Assert that the page shows the word, sign and colour that the table has for the state."""
     wanted = table[scene.state]
@@ -155,6 +167,8 @@ def test_states_are_said_alike_and_nothing_is_cut_or_covered(browser, tmp_path, 
                     problems += [f"{what}: {text}" for text in page.run(MEASURED)]
                     if size != "1920":
                         check_reach(page, what)
+            scenes.look(page, "show", "dark", scenes.SIZES["1366"])
+            assert SAID.get(scene.name, "") in page.run("document.body.innerText"), scene.name
             scenes.look(page, back, "dark", scenes.SIZES["1366"])
             assert page.errors == []
             if scene.name == "stage_plays":

@@ -57,6 +57,7 @@ def check_in_reach(page, state):
             found = page.run(f"document.elementFromPoint({at[0]}, {at[1]})?.closest('button')?.id")
             assert found == kind, (state, kind, at)
         for way in ("pointer", "touch"):
+            page.run(STOPS + "stops.confirmStop(true))")  # Else the press before is repeated.
             before = page.run("window.sent.length")
             press(page, way, x + width / 2, y + height / 2)
             sent = page.run("window.sent")[before:]

@@ -80,6 +80,20 @@ export function pointAt(placed, link, point_mm) {
   );
 }
 
+/** From this difference on two poses can be told apart: a fast joint lags its plan by less. */
+const APART_DEG = 4;
+
+/** Return which links stand elsewhere in two poses. @param {Figure} figure @param {Pose} one @param {Pose} other */
+export function linksApart(figure, one, other) {
+  /** @type {boolean[]} */
+  const apart = [];
+  for (const { parent, joint } of figure.links) {
+    const off_deg = joint === null ? 0 : Math.abs((one[joint] ?? NaN) - (other[joint] ?? NaN));
+    apart.push(off_deg > APART_DEG || (apart[parent] ?? false));
+  }
+  return apart;
+}
+
 /** @param {number} width_mm @param {number[]} from @param {number[]} to */
 export function isThick(width_mm, from, to) {
   return width_mm > THICK_RATIO * Math.hypot(to[0] - from[0], to[1] - from[1], to[2] - from[2]);

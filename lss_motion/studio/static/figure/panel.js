@@ -73,16 +73,7 @@ export function posesOf(view, read, { at_s, isRunning, isSought }) {
   const planned = posesAt(view, at_s);
   if (read === null) return planned;
   if (isSought && !isRunning) return { ...planned, line: read };
-  const line = isRunning && isApart(read, planned.solid) ? planned.solid : null;
-  return { ...planned, solid: read, isRead: true, line };
-}
-
-/** From this difference on two poses can be told apart in the picture. */
-const APART_DEG = 1.5;
-
-/** @param {Pose} one @param {Pose} other */
-function isApart(one, other) {
-  return Object.keys(one).some((name) => Math.abs((one[name] ?? NaN) - (other[name] ?? NaN)) > APART_DEG);
+  return { ...planned, solid: read, isRead: true, line: isRunning ? planned.solid : null };
 }
 
 /** Instants of a view whose poses are kept in the picture. */

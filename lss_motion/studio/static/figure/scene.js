@@ -25,7 +25,7 @@ import {
   Vector3,
   WebGLRenderer,
 } from "../vendor/three.js";
-import { STRIDE, cloudOf, groundOf, isThick, placeLinks } from "./kinematics.js";
+import { STRIDE, cloudOf, groundOf, isThick, linksApart, placeLinks } from "./kinematics.js";
 import { axesOf, distanceFor, extentsOf, middleOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 import { coloursOf } from "./stick.js";
@@ -124,7 +124,8 @@ export class SceneFigure {
     apply(this.parts.solid, placed);
     for (const role of /** @type {const} */ (["authored", "line"])) {
       const pose = poses[role];
-      for (const group of this.parts[role]) group.visible = pose !== null;
+      const isShown = role === "line" && pose !== null ? linksApart(this.figure, poses.solid, pose) : [];
+      this.parts[role].forEach((group, index) => { group.visible = pose !== null && (isShown[index] ?? true); });
       if (pose !== null) apply(this.parts[role], placeLinks(this.figure, pose));
     }
     this.renderer.setPixelRatio(ratio);

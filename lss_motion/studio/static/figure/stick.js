@@ -1,7 +1,7 @@
 // @ts-check
 /** A figure on a 2D canvas. It works in every browser. `drawStick` is pure but for its context. */
 
-import { cloudOf, groundOf, isThick, placeLinks, pointAt, STRIDE } from "./kinematics.js";
+import { cloudOf, groundOf, isThick, linksApart, placeLinks, pointAt, STRIDE } from "./kinematics.js";
 import { dot, projected, projectionOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 
@@ -56,7 +56,8 @@ export function drawStick(ctx, figure, poses, to, palette) {
     ctx.strokeStyle = colours.line;
     ctx.fillStyle = colours.line;
     ctx.lineWidth = LINE_WIDTH_PX;
-    strokeLines(ctx, figure, placeLinks(figure, poses.line), ground_mm, to, LINE_DOT_PX);
+    const apart = linksApart(figure, poses.solid, poses.line);
+    strokeLines(ctx, figure, placeLinks(figure, poses.line), ground_mm, to, LINE_DOT_PX, (link) => apart[link] ?? false);
   }
 }
 
@@ -110,7 +111,7 @@ export function ballsOf(figure, placed, ground_mm, to) {
     });
     const [middle, spread] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy)];
     return {
-      x_px, y_px, near, shade: shape.shade, turn_rad: Math.atan2(2 * xy, xx - yy) / 2,
+      link: index, x_px, y_px, near, shade: shape.shade, turn_rad: Math.atan2(2 * xy, xx - yy) / 2,
       long_px: Math.sqrt(middle + spread), short_px: Math.sqrt(Math.max(middle - spread, 0)),
     };
   }));
@@ -162,14 +163,14 @@ function drawSolid(ctx, figure, placed, ground_mm, to, palette) {
 }
 
 /** @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to */
-function strokeLines(ctx, figure, placed, ground_mm, to, dot_px = 0) {
+function strokeLines(ctx, figure, placed, ground_mm, to, dot_px = 0, isDrawn = (/** @type {number} */ _link) => true) {
   ctx.beginPath();
-  const segments = segmentsOf(figure, placed, ground_mm, to);
+  const segments = segmentsOf(figure, placed, ground_mm, to).filter((own) => isDrawn(own.link));
   for (const segment of segments) {
     ctx.moveTo(segment.from[0], segment.from[1]);
     ctx.lineTo(segment.to[0], segment.to[1]);
   }
-  for (const ball of ballsOf(figure, placed, ground_mm, to)) ballPath(ctx, ball);
+  for (const ball of ballsOf(figure, placed, ground_mm, to)) if (isDrawn(ball.link)) ballPath(ctx, ball);
   ctx.stroke();
   if (dot_px === 0) return;
   ctx.beginPath();

@@ -29,6 +29,11 @@ export function placeOnStrip(range_deg, deg) {
   };
 }
 
+/** @param {ReturnType<typeof placeOnStrip> | null} place */
+function wordOf(place) {
+  return place?.isOutside ? "beyond its limit" : place?.isNear ? "near its limit" : "";
+}
+
 /** @param {number | null | undefined} value @param {number} places @param {string} unit */
 export function shown(value, places, unit) {
   const text = number(value, places);
@@ -90,13 +95,13 @@ function JointRow({ joint, live, health, mayMove, why, held, hold, speed_ratio, 
   const isLimp = now?.is_limp ?? false;
   const deg = now?.deg ?? null;
   const trouble = troubleOf(joint, health[joint.name]);
-  const word = isLimp ? "Hold" : "Limp";
+  const power = isLimp ? "Hold" : "Limp";
   return html`<tr class=${held === joint.name ? "is-held" : ""} data-joint=${joint.name}>
     <th scope="row">
       ${joint.name}<small>${joint.model} · id ${joint.id}${joint.bus === "main" ? "" : ` · ${joint.bus}`}</small>
     </th>
     <td><${LimitStrip} ...${{ joint, deg, hold, speed_ratio, mayMove, held }} /></td>
-    <td class="robot-number robot-angle">${shown(deg, 1, "°")}</td>
+    <td class="robot-number"><span class="robot-angle">${shown(deg, 1, "°")}</span><small>${deg === null ? "" : wordOf(placeOnStrip(joint.range_deg, deg))}</small></td>
     <td class="robot-jog">
       <${JogButton} joint=${joint.name} sign=${-1} ...${{ hold, speed_ratio, mayMove, why, held }} />
       <${JogButton} joint=${joint.name} sign=${1} ...${{ hold, speed_ratio, mayMove, why, held }} />
@@ -108,10 +113,10 @@ function JointRow({ joint, live, health, mayMove, why, held, hold, speed_ratio, 
         class="robot-power"
         disabled=${!mayMove}
         title=${mayMove ? "" : why}
-        aria-label=${`${word} ${joint.name}`}
+        aria-label=${`${power} ${joint.name}`}
         onClick=${() => act(isLimp ? "hold" : "limp", { joints: [joint.name] })}
       >
-        ${word}
+        ${power}
       </button>
     </td>
   </tr>`;
@@ -122,7 +127,7 @@ function JointRow({ joint, live, health, mayMove, why, held, hold, speed_ratio, 
 function LimitStrip({ joint, deg, hold, speed_ratio, mayMove, held }) {
   const [low, high] = joint.range_deg;
   const place = deg === null ? null : placeOnStrip(joint.range_deg, deg);
-  const word = place?.isOutside ? "outside of its limits" : place?.isNear ? "near its limit" : "";
+  const word = wordOf(place);
   const at = deg === null ? "angle unknown" : `${number(deg, 1)}° ${word}`;
   const zero = low < 0 && high > 0 ? placeOnStrip(joint.range_deg, 0).share : null;
   const speed = useMemo(() => ({ ratio: 0 }), []);
@@ -145,7 +150,6 @@ function LimitStrip({ joint, deg, hold, speed_ratio, mayMove, held }) {
       ${place === null ? null : html`<i class="robot-strip-mark ${held === joint.name ? "is-held" : ""}" style=${{ left: `${100 * place.share}%` }}></i>`}
     </span></span>
     <span class="robot-strip-end">${number(high, 0)}</span>
-    ${word === "" ? null : html`<span class="robot-strip-word">${word}</span>`}
   </div>`;
 }
 

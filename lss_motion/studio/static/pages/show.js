@@ -32,7 +32,7 @@ export function ShowPage({ state, actions, store }) {
     <section class="card cues" aria-label="Cues"><h2>Cues</h2>${isStage
       ? html`<${StageCues} state=${state} actions=${actions} />` : html`<${Cues} state=${state} actions=${actions} />`}</section>
     <section class="card troubles" aria-label="Joints, warnings and faults">
-      <${StageHosts} state=${state} /><h2>Joints</h2><${Wellness} state=${state} />
+      <${StageHosts} state=${state} /><${Wellness} state=${state} />
       <${Troubles} state=${state} /><${StageNotes} state=${state} /></section>
   </main>`;
 }
@@ -46,7 +46,7 @@ function hasTime(state) {
 /** @param {{ state: State }} props */
 function Now({ state }) {
   const { view } = state;
-  return hasTime(state) && html`
+  return view !== null && hasTime(state) && html`
     <p class="clock"><span data-clock>0:00.0</span>
       <span class="clock-of">${view === null ? "" : view.is_endless ? "without end" : `of ${timeText(view.duration_s ?? view.view_s, 0.1)}`}</span></p>
     <div class="progress" aria-hidden="true"><i data-progress></i>

@@ -43,7 +43,7 @@ export function Wellness({ state }) {
     const found = own === undefined ? [] : exceptionsOf(joint, own);
     return found.length === 0 ? [] : [{ joint, found }];
   });
-  return html`<div class="joints"><p class="well">${summary(state, rows.length)}</p>
+  return html`<h2>Joints</h2><div class="joints"><p class="well">${summary(state, rows.length)}</p>
     ${rows.length === 0 ? null : html`<ul class="exceptions">${rows.map(({ joint, found }) => html`<li key=${joint.name}>
       <span class="exception-joint"><strong>${joint.name}</strong><small>${joint.servo} · id ${joint.id}</small></span>
       ${found.map((one) => html`<span class=${one.isBad ? "bad" : "warn"}>${one.isBad ? "■" : "▲"} ${one.text}</span>`)}</li>`)}</ul>`}</div>`;
@@ -65,7 +65,7 @@ function summary({ view, health, trouble }, exceptions) {
     Number.isFinite(hottest_c) ? `hottest ${number(hottest_c, 0)} °C` : "",
     Number.isFinite(lowest_v) ? `lowest ${number(lowest_v, 1)} V` : "",
     ...Object.entries(health.buses).map(([bus, use]) => `line ${bus} ${Math.round(100 * use.use_ratio)} %`),
-    health.missed > 0 ? `${health.missed} moves late, by up to ${number(health.late_us / 1000, 1)} ms` : "",
+    health.missed > 0 ? `${health.missed === 1 ? "1 move" : `${health.missed} moves`} late, by up to ${number(health.late_us / 1000, 1)} ms` : "",
   ];
   return parts.filter((part) => part !== "").join(" · ");
 }
