@@ -117,11 +117,16 @@ class Document:
         """The plan that clients see: of the file, or of the present show of a stage."""
         if self.good is None or self.good.stage is None:
             return None if self.good is None else self.good.plan
-        if self._request.views is None:
+        if not self.runs_stage:
             return None  # A server that does not run the stage keeps no views of its shows.
         stage, plans = self.good.stage, self.good.plans
         names = (self.shown, stage.idle, *plans)
         return next((plans[name] for name in names if name is not None and name in plans), None)
+
+    @property
+    def runs_stage(self) -> bool:
+        """Whether the server runs a stage (`lss-motion serve`)."""
+        return self._request.views is not None
 
     def _plans(self) -> frozenset[str]:
         return frozenset() if self.good is None else frozenset(self.good.plans.values())

@@ -102,8 +102,6 @@ class Studio:
             self._document_changed,
         )
         self.desk.pair = self._pair
-        self._is_service = options.views is not None
-        """Whether it runs a stage (`lss-motion serve`)."""
 
     @property
     def url(self) -> str:
@@ -175,7 +173,7 @@ class Studio:
             own = next((one for one in own_addresses() if one != LOOPBACK), "ADDRESS")
             how = (
                 f"write listen: {{http: '{own}:8000'}} into the stage file and start it again"
-                if self._is_service
+                if self.document.runs_stage
                 else f"end it (Ctrl-C), then: lss-motion studio {self.document.path.name} "
                 f"--listen {own}"
             )
