@@ -1,12 +1,14 @@
 """A sequence joint by joint: the keys of each joint, checked, and their positions along the path.
 
 The path position is in seconds (`_s`). If the author's times count (`is_timed`), it is the authored
-time, plus what must be added where keys are too close together. Otherwise keyframes are as far
-apart as their moves need at least.
+time, plus what must be added where keys are too close together. Otherwise keyframes lie between
+rests as far apart as their points (chord lengths), so that the spacing of keys in the file does not
+shape the curve; from rest to rest as far as the moves need at least.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
@@ -34,6 +36,9 @@ SAME_INSTANT_S: Final = 1e-9
 
 SAME_ANGLE_DEG: Final = 1e-9
 """Angles closer than this are equal. Chosen: far below the unit on the bus."""
+
+STEP_RATIO: Final = 1.0 + 1e-6
+"""One step of a servo, and rounding of the angles in a file."""
 
 HOPELESS_RATIO: Final = 0.1
 """An authored move gets at least this share of the duration that it needs alone. Chosen: such a
@@ -285,14 +290,102 @@ def spacing_of(
     needs = _needs(keys, robot, margins, is_authored=is_authored)
     if is_authored:
         return _timed(sequence, needs)
-    reached_s = np.zeros(len(sequence.keyframes))
+    count = len(sequence.keyframes)
+    reached_s = _apart(needs, count)
+    chords_s = _apart(_chords(keys, robot), count)
+    stops = np.flatnonzero(_all_rest(keys, count))
+    for first, end in itertools.pairwise(stops.tolist()):
+        chord_s, least_s = (at_s[end] - at_s[first] for at_s in (chords_s, reached_s))
+        if end - first > 1 and chord_s > 0.0:
+            own = slice(first + 1, end)
+            shares = (chords_s[own] - chords_s[first]) / chord_s
+            reached_s[own] = np.round(reached_s[first] + least_s * shares, PATH_DECIMALS)
+    ends_s = np.array([0.0, reached_s[-1]])
+    return Spacing(reached_s=reached_s, left_s=reached_s, path_s=ends_s, authored_s=ends_s)
+
+
+def _apart(needs: Mapping[int, list[tuple[int, float]]], count: int) -> FloatArray:
+    """Return the least positions of keyframes that are as far apart as needed."""
+    reached_s = np.zeros(count)
     previous_s = 0.0
-    for index in range(len(reached_s)):
+    for index in range(count):
         for earlier, least_s in needs.get(index, ()):
             previous_s = max(previous_s, round(reached_s[earlier] + least_s, PATH_DECIMALS))
         reached_s[index] = previous_s
-    ends_s = np.array([0.0, previous_s])
-    return Spacing(reached_s=reached_s, left_s=reached_s, path_s=ends_s, authored_s=ends_s)
+    return reached_s
+
+
+def _chords(
+    keys: Mapping[str, tuple[Key, ...]], robot: Robot
+) -> dict[int, list[tuple[int, float]]]:
+    """Return for each keyframe the earlier ones, and how long the moves from them take at speed.
+
+    Between rests keyframes are as far apart as that, in proportion: the shape of a curve then
+    follows its points. The least durations of moves from rest to rest are those of many stops.
+    """
+    chords_s: dict[tuple[int, int], float] = {}
+    for name, own in keys.items():
+        for before, after in itertools.pairwise(own):
+            chord_s = abs(after.deg - before.deg) / robot.joints[name].speed_max_deg_s
+            pair = before.index, after.index
+            chords_s[pair] = math.hypot(chords_s.get(pair, 0.0), chord_s)
+    found: dict[int, list[tuple[int, float]]] = {}
+    for (earlier, index), chord_s in chords_s.items():
+        found.setdefault(index, []).append((earlier, chord_s))
+    return found
+
+
+def _all_rest(keys: Mapping[str, tuple[Key, ...]], count: int) -> NDArray[np.bool_]:
+    """Return for each keyframe whether no joint moves there."""
+    is_rest = np.ones(count, dtype=np.bool_)
+    for own in keys.values():
+        deg = np.array([key.deg for key in own])
+        rests = rests_at(deg, np.array([key.is_held for key in own]), tuple(k.ease for k in own))
+        for key, rests_here in zip(own, rests.tolist(), strict=True):
+            is_rest[key.index] &= rests_here
+        for before, after in itertools.pairwise(own):
+            if abs(after.deg - before.deg) > SAME_ANGLE_DEG:
+                is_rest[before.index + 1 : after.index] = False
+    is_rest[[0, -1]] = True
+    return is_rest
+
+
+def _repeats(kept: Keyframe, frame: Keyframe, robot: Robot) -> bool:
+    """Return whether a keyframe is the same as the one kept before it, but for less than a step."""
+    is_told_apart = frame.hold_s > 0.0 or frame.is_anchor or frame.is_exact
+    if is_told_apart or frame.ease != kept.ease or frame.deg.keys() != kept.deg.keys():
+        return False
+    return all(
+        name in robot.joints
+        and abs(deg - kept.deg[name]) <= STEP_RATIO * robot.joints[name].unit_deg
+        for name, deg in frame.deg.items()
+    )
+
+
+def merged(sequence: Sequence, robot: Robot) -> tuple[Sequence, tuple[int, ...]]:
+    """Return the sequence without keyframes that repeat, and for each keyframe which one it is now.
+
+    Without authored times a keyframe all of whose joints are within one step of their servos from
+    the keyframe kept before it is the same one, if no hold and no other ease tells it apart. The
+    last keyframe is kept instead of those that are the same.
+    """
+    frames = sequence.keyframes
+    if is_timed(sequence) or sequence.timing is Timing.AUTHORED or len(frames) < 3:
+        return sequence, tuple(range(len(frames)))
+    kept: list[int] = []
+    now_of: list[int] = []
+    for index, frame in enumerate(frames):
+        is_last = index == len(frames) - 1
+        if not kept or not _repeats(frames[kept[-1]], frame, robot):
+            kept.append(index)
+        elif is_last and len(kept) > 1 and frames[kept[-1]].hold_s == 0.0:
+            kept[-1] = index
+        elif is_last:
+            kept.append(index)
+        now_of.append(len(kept) - 1)
+    if len(kept) == len(frames):
+        return sequence, tuple(range(len(frames)))
+    return replace(sequence, keyframes=tuple(frames[index] for index in kept)), tuple(now_of)
 
 
 def authored_spacing(sequence: Sequence) -> Spacing:

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.planning.trajectory.kept_plans import cache_name, kept_plan
+from lss_motion.planning.trajectory.keys import merged
 from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
 from lss_motion.planning.trajectory.playlist import planned_cues
 from lss_motion.robot.model import Robot
@@ -152,6 +153,7 @@ def _planned_angles(track: Sequence, robot: Robot) -> Trajectory:
 def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
     """Return the plan of the keyframes alone, made or from the cache."""
     _check_length(track)
+    whole, (track, now_of) = track, merged(track, robot)
 
     def make() -> Trajectory:
         from lss_motion.planning.trajectory.more_time import planned_or_advised
@@ -159,8 +161,14 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
 
         return planned_or_advised(track, robot, smooth_track)
 
-    name = cache_name(track, robot)
-    return _placed(kept_plan(name, make, robot), track)
+    found = kept_plan(cache_name(track, robot), make, robot)
+    if track is not whole:
+        marks = [
+            replace(found.marks[now], label=frame.label)
+            for frame, now in zip(whole.keyframes, now_of, strict=True)
+        ]
+        found = replace(found, marks=tuple(marks))
+    return _placed(found, whole)
 
 
 def _placed(trajectory: Trajectory, track: Sequence) -> Trajectory:
