@@ -22,6 +22,10 @@ def s_from_ns(duration_ns: int) -> float:
     return duration_ns / NS_PER_S
 
 
+SPEED_RATIO_MAX: Final = 100.0
+"""Largest ratio that `--speed` takes. Chosen: an hour in 36 s."""
+
+
 def us_from_s(duration_s: float) -> int:
     return round(duration_s * US_PER_S)
 

@@ -33,6 +33,7 @@ from lss_motion.errors import (
 )
 from lss_motion.files.output import OTHER_NAME_REMEDY, Output, OutputKind, require_outputs
 from lss_motion.system.signals import as_program
+from lss_motion.units import SPEED_RATIO_MAX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -116,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--port", "--robot", "--robot-cache")
     parser.add_argument(
         "--speed",
-        type=number_from(0.01, 100.0),
+        type=number_from(0.01, SPEED_RATIO_MAX),
         default=1.0,
         metavar="RATIO",
         help="speed relative to the file; 0.5 is half as fast (default 1)",

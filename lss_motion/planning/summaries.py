@@ -16,6 +16,7 @@ from lss_motion.errors import InputError, install_command
 from lss_motion.files.texts import counted
 from lss_motion.show.functions import call_lines
 from lss_motion.system.clock_leg import RATE_BAND
+from lss_motion.units import SPEED_RATIO_MAX
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -302,8 +303,9 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
         f"{at_s:.3f} s, {max(0.0, 1.0 - value / allowed):.0%} to spare"
     ]
     # Rounded down, so that the printed factor is possible.
-    ratio = math.floor(100.0 * tightest.faster_ratio) / 100.0
-    if value >= FULL_RATIO * allowed or ratio <= 1.0 or trajectory.given_up:
+    ratio = min(math.floor(100.0 * tightest.faster_ratio) / 100.0, SPEED_RATIO_MAX)
+    is_fastest = any(mark.authored_s is None for mark in trajectory.marks)
+    if value >= FULL_RATIO * allowed or ratio <= 1.0 or trajectory.given_up or is_fastest:
         cost = "give up more angle" if trajectory.given_up else "slow more of it down"
         return [*lines, f"the show runs as fast as it can; faster would {cost}"]
     pass_s = trajectory.middle.duration_s / ratio

@@ -309,7 +309,9 @@ class _Rounds:
         for column, name in enumerate(trajectory.joints):
             own = self.passed[name]
             at_s = np.array([trajectory.marks[key.index].planned_s for key in own])
-            count = max(1, math.ceil(0.5 * self.windows_s[column] / TURN_STEP_S))
+            # The spline rounds each turn, also that of a joint without a window.
+            reach_s = 0.5 * self.windows_s[column] + 2.0 * self._step_s()
+            count = math.ceil(reach_s / TURN_STEP_S)
             turns = [key.turn != 0 for key in own]
             around_s = TURN_STEP_S * np.arange(-count, count + 1)
             near_s = (at_s[turns][:, None] + around_s).ravel()
