@@ -14,19 +14,18 @@ import os
 import shutil
 import signal
 import sys
-import threading
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from running_studio import Studio
+from served_bus import ServedBus
 
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, ServoSpec
-from lss_motion.sim.pty import serve_buses
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -83,8 +82,7 @@ class Ghost:
 
     def __init__(self, folder: Path, fault: Fault | None = None, on_fault: str = "{}") -> None:
         self.folder, self._fault = folder, fault
-        self._stop: threading.Event | None = None
-        self._thread: threading.Thread | None = None
+        self._served: ServedBus | None = None
         robots = folder / "robots"
         shutil.copytree(EXAMPLES / "robots", robots, dirs_exist_ok=True)
         text = (robots / "ghost.yaml").read_text(encoding="utf-8")
@@ -112,21 +110,13 @@ class Ghost:
         ]
         faults = [] if self._fault is None else [self._fault]
         bus = SimBus(servos, baud_bps=115200, firmware=370, physics=Physics(), faults=faults)
-        self._stop, ready = threading.Event(), threading.Event()
-        options = {"announce": lambda _: ready.set(), "should_stop": self._stop.is_set}
-        self._thread = threading.Thread(
-            target=serve_buses, args=({"main": bus}, self.folder / "port"), kwargs=options
-        )
-        self._thread.start()
-        assert ready.wait(10.0), "no port after 10 s"
+        self._served = ServedBus(bus, self.folder / "port")
 
     def unplug(self) -> None:
         """Pull the port."""
-        if self._stop is not None and self._thread is not None:
-            self._stop.set()
-            self._thread.join(10.0)
-            assert not self._thread.is_alive()
-            self._stop = None
+        if self._served is not None:
+            self._served.unplug()
+            self._served = None
 
 
 class Opened:

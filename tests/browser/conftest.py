@@ -10,10 +10,10 @@ from pathlib import Path
 import cdp
 import pytest
 from running_studio import running
+from served_bus import recording_bus, served_bus
 
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.physics import ServoSpec
-from tests.served_bus import recording_bus, served_bus
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 NO_WEBGL = """

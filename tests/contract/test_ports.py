@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
+from served_bus import served_bus
 
 from lss_motion.errors import BusError
 from lss_motion.robot.model import Bus, Robot
@@ -14,7 +15,6 @@ from lss_motion.sim.bus import SimPort, bus_from_robot
 from lss_motion.system.clock import MonotonicClock, VirtualClock
 from lss_motion.system.port import SerialPort
 from tests.joints import joint
-from tests.served_bus import served_bus
 
 if TYPE_CHECKING:
     from lss_motion.system.clock import Clock

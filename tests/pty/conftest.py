@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from served_bus import recording_bus, served_bus
 
 from lss_motion.cli.main import main
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.physics import ServoSpec
-from tests.served_bus import recording_bus, served_bus
 
 
 @pytest.fixture

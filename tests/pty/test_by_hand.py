@@ -9,13 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from served_bus import served_bus
 
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.hand import Hand
 from tests.programs import ProgramBeside, terminal_command
-from tests.served_bus import served_bus
 
 pytestmark = pytest.mark.realtime
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from served_bus import served_bus
 
 from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
@@ -16,7 +17,6 @@ from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
 from tests.pair import ROBOT
 from tests.programs import ProgramBeside, command, terminal_command
-from tests.served_bus import served_bus
 from tests.swing import until
 from tests.tables import first_quick
 from tests.timed_moves import is_move

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 from pythonosc.osc_message_builder import OscMessageBuilder
 from rig.robot import verdict_of
+from served_bus import served_bus
 
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
 from tests.network import free_port
 from tests.programs import ProgramBeside, command
 from tests.pty.test_studio import children, post
-from tests.served_bus import served_bus
 from tests.swing import ROBOT, WAIT_S, until
 
 pytest.importorskip("zenoh", reason="needs the extra `network`")

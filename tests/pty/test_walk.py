@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from served_bus import served_bus
 
 from lss_motion.planning import shows
 from lss_motion.sim.bus import bus_from_robot
 from tests.programs import ProgramBeside, terminal_command
-from tests.served_bus import served_bus
 from tests.swing import until
 from tests.timed_moves import is_move
 

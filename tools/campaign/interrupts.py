@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from served_bus import served_bus
 
 from campaign import Told
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.pty import serve_buses
 from lss_motion.system.reactor import wait_for
 
 if TYPE_CHECKING:
@@ -126,19 +126,8 @@ def _served(folder: Path) -> Iterator[SimBus]:
     (folder / "show.yaml").write_text(SHOW)
     bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
     bus.record()
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve_buses,
-        args=({"main": bus}, folder / "port"),
-        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
-    )
-    thread.start()
-    ready.wait(WAIT_S)
-    try:
+    with served_bus(bus, folder / "port"):
         yield bus
-    finally:
-        stop.set()
-        thread.join(WAIT_S)
 
 
 def _run(folder: Path, words: str, fd: int | None = None) -> subprocess.Popen[bytes]:
@@ -192,7 +181,7 @@ class _Interrupted:
         except subprocess.TimeoutExpired:
             self.code = None
             process.kill()
-            process.wait()
+            process.wait(WAIT_S)
         reader.join(WAIT_S)
         os.close(own_fd)
         self._received = [line for _, line in bus.lines[first:]]

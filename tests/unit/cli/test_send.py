@@ -6,13 +6,13 @@ from contextlib import contextmanager
 
 import pytest
 from msgspec.structs import replace
+from served_bus import recording_bus, served_bus
 
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import ServoSpec
-from tests.served_bus import recording_bus, served_bus
 
 pytestmark = pytest.mark.realtime
 
