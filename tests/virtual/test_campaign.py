@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from campaign import judge, witness
+from campaign import hands, judge, witness
 from campaign.__main__ import again
 from campaign.stale import lawless_ns
 from campaign.three_shows import NAMES, show
 from msgspec.structs import replace
 
 from lss_motion.playing.player import checks, handshake, joint_state, streamer
+from lss_motion.playing.player.health import ServoWatch
 from lss_motion.sim.faults import Fault, FaultKind
 from tests.tables import first_quick
 
@@ -236,3 +237,18 @@ def test_the_independent_judge_objects_to_a_command_out_of_the_range(monkeypatch
 def test_the_command_that_repeats_a_seed_names_no_other_seeds():
     words = ["shows", "--from", "3", "--any", "--seeds=9", "--judge", "both", "--jobs", "2"]
     assert again(7, words) == "shows --any --judge both --from 7 --seeds 1"
+
+
+HANDS = range(12)
+
+
+@pytest.mark.slow
+def test_whatever_goes_wrong_in_the_hands_of_a_person_no_promise_is_broken():
+    assert {seed: hands.play(seed, None).broken for seed in HANDS} == dict.fromkeys(HANDS, ())
+
+
+def test_hands_that_ignore_restarts_are_objected_to(monkeypatch):
+    monkeypatch.setattr(ServoWatch, "is_doubtful", property(lambda _: False))
+    monkeypatch.setattr(ServoWatch, "take", lambda *_: None)
+    monkeypatch.setattr(ServoWatch, "take_status", lambda *_: None)
+    assert any(hands.play(seed, None).broken for seed in HANDS)

@@ -8,6 +8,7 @@
 | `stages.py` | kind `stages`: hours of an evening, with visitors, keys and faults |
 | `readers.py` | kind `readers`: damaged files of every foreign format |
 | `interrupts.py` | kind `interrupts`: commands with a port, interrupted at any byte |
+| `hands.py` | kind `hands`: joints in the hands of a person, with faults |
 | `three_shows.py`, `any_show.py`, `random_faults.py` | what `shows` draws from a seed |
 | `witness.py` | records all of a run, presses keys, ends a run that does not end |
 | `judge.py`, `allowances.py`, `stale.py` | the promises of a show |

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from campaign import anchors, interrupts, readers, shows, stages, walks
+from campaign import anchors, hands, interrupts, readers, shows, stages, walks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -39,6 +39,7 @@ KINDS: Final = {
     "walks": walks,
     "stages": stages,
     "readers": readers,
+    "hands": hands,
     "interrupts": interrupts,
 }
 SAYS_EVERY_S: Final = 60.0

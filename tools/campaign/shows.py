@@ -46,11 +46,11 @@ def play(seed: int, options: argparse.Namespace) -> Told:
         judges=options.judge,
     )
     objections = [f"objection: {one}" for one in result.objections]
-    rows = tuple(_row(fault) for fault in result.faults)
+    rows = tuple(row_of(fault) for fault in result.faults)
     return Told(result.outcome, (*result.broken, *objections), rows)
 
 
-def _row(fault: Fault) -> str:
+def row_of(fault: Fault) -> str:
     """Return a fault as a row of a faults file: what differs from the defaults."""
     plain = asdict(Fault(kind=fault.kind, until_s=fault.until_s))
     row = {name: value for name, value in asdict(fault).items() if value != plain[name]}
