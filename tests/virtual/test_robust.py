@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from benches.random_pairs import pair
 from benches.robust import cases, compared, played, problems
 
 
@@ -75,3 +76,11 @@ def test_the_judge_finds_harm(gestures) -> None:
     )
     found = [text.split()[0] for text in problems(worse, plain)]
     assert found == ["stands", "swings", "unnamed", "misnamed", "RMS", "speed"]
+
+
+@pytest.mark.parametrize("seed", [3, 8, 12, 16, 30, 35])
+def test_feedback_does_no_harm_to_a_random_show(seed) -> None:
+    """Servos that begin each move at rest, and pushes: a show that is slowed, and that is not."""
+    found = pair(seed)
+    assert ("from_rest" in found.text or "push=" in found.text, found.outcome) == (True, "finished")
+    assert not found.does_harm, found

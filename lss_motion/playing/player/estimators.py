@@ -200,10 +200,18 @@ class HornEstimator:
         load_deg: float = sum(map(operator.mul, self._mean, basis))
         if abs(load_deg) <= SMALL_DEG:
             return 0.0
+        clear = abs(load_deg) / (SMALL_DEG + self._unsure_deg(basis)) - 1.0
+        return load_deg * min(max(0.0, clear), 1.0)
+
+    def strange_deg(self, measured_deg: float, profile_deg: float, way: float) -> float:
+        """Return how far a resting horn is from where its load holds it; 0: that is not sure."""
+        basis = _basis(profile_deg, way, 0.0)
+        off_deg: float = profile_deg - measured_deg - sum(map(operator.mul, self._mean, basis))
+        return off_deg if abs(off_deg) > STRANGE_SIGMAS * self._unsure_deg(basis) else 0.0
+
+    def _unsure_deg(self, basis: tuple[float, ...]) -> float:
         spread = (sum(map(operator.mul, row, basis)) for row in self._cov)
-        unsure_deg = math.sqrt(max(sum(map(operator.mul, spread, basis)), 0.0))
-        clear = min(max(0.0, abs(load_deg) / (SMALL_DEG + unsure_deg) - 1.0), 1.0)
-        return load_deg * clear
+        return math.sqrt(max(sum(map(operator.mul, spread, basis)), 0.0))
 
     @property
     def half_play_deg(self) -> float:
@@ -290,8 +298,13 @@ class HornEstimator:
         course: tuple[float, float, float, float],
         way: float,
         elapsed_s: float,
+        *,
+        is_certain: bool = False,
     ) -> None:
         """Use a reading, `elapsed_s` after the one before.
+
+        A strange one of a horn that is slow or rests teaches nothing, until it has been strange for
+        `PERSISTENT_S`: a hand may push it. Unless it `is_certain` that only the load holds it.
 
         `course` is the angle of the profile without an extra lag, angle and speed with `lag_s`, and
         the largest speed of the last quarter of a second.
@@ -313,9 +326,10 @@ class HornEstimator:
         strange = surprise_deg * surprise_deg / (STRANGE_SIGMAS**2 * (known + noise))
         is_slow = timing_deg2 < self.noise_deg2
         late_deg = (self.lag_s - self._early_s()) * speed_deg_s
-        self._note_strange(surprise_deg, elapsed_s, is_strange=is_slow and strange > 1.0)
+        is_strange = is_slow and strange > 1.0 and not is_certain
+        self._note_strange(surprise_deg, elapsed_s, is_strange=is_strange)
         total = known + noise * max(1.0, strange * strange)
-        for row, own in enumerate(spread):
+        for row, own in enumerate(() if is_strange else spread):
             self._mean[row] += own / total * surprise_deg
             pairs = zip(self._cov[row], spread, strict=True)
             self._cov[row] = [before - own * other / total for before, other in pairs]
@@ -335,7 +349,8 @@ class HornEstimator:
         """Use the distance of a horn that certainly rests on `angle_deg` from its profile."""
         self.doubt()
         profile_deg = angle_deg + load_deg
-        self.take(angle_deg, (profile_deg, profile_deg, 0.0, 0.0), 0.0, CORRELATED_S)
+        course = profile_deg, profile_deg, 0.0, 0.0
+        self.take(angle_deg, course, 0.0, CORRELATED_S, is_certain=True)
 
     def doubt(self) -> None:
         """Note that the load may be another one now."""

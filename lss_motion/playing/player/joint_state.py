@@ -133,6 +133,8 @@ class JointState:
     guide_ns: int | None = None
     """Instant of the next guiding target for a streamed joint that is off its program; None: it
     follows the program."""
+    coarse_until: tuple[int, float] = 0, 0.0
+    """Until which instant a coarse spot move leads, and for which rate of the show."""
     last_arrival_ns: int | None = None
     """Instant at which the servo received its last move."""
     resent: int = 0
@@ -281,6 +283,10 @@ class JointState:
     def defer(self, resend_ns: int, target_deg: float, travel_deg_s: float = math.inf) -> None:
         """Send `target_deg` again at `resend_ns`; a timed joint then travels at `travel_deg_s`."""
         self._resend_at(deferred=DeferredTarget(resend_ns, target_deg, travel_deg_s))
+
+    def lead_coarsely(self, until_ns: int, rate: float) -> None:
+        """Note that a coarse spot move leads until then, at that rate of the show."""
+        self.coarse_until = until_ns, rate
 
     def guide_at(self, guide_ns: int | None) -> None:
         """Send a streamed joint its next guiding target then; None: the program's moves again."""
@@ -529,6 +535,7 @@ class JointState:
         lagged_deg, speed_deg_s = self.profile.at(course_s)
         # The largest speed of the profile of late, 0 if it rests.
         recent_deg_s = max([abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S])
+        strange_deg = horn.strange_deg(measured_deg, lagged_deg, self.swing.way)
         if not (self.standing.is_pushed or self._is_approach):
             error_deg = self.disturbance.error_deg + self.disturbance.offset_deg
             horn.judge_load(error_deg, horn.correction_deg(lagged_deg, self.swing.way), elapsed_s)
@@ -543,7 +550,7 @@ class JointState:
         if self._is_settled(read_s) and before_deg is not None:
             horn.note_scatter(measured_deg - before_deg, elapsed_s)
             noise_deg = math.sqrt(horn.noise_deg2)
-            self.standing.take(self.disturbance.error_deg, read_s, noise_deg)
+            self.standing.take(self.disturbance.error_deg, read_s, noise_deg, strange_deg)
         if self.setpoints is not None:
             self._correct(lagged_deg, self.swing.way, elapsed_s)
 

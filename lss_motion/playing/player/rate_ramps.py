@@ -40,6 +40,10 @@ RAMP_LINE_RATIO: Final = 0.5
 GUIDE_LINE_RATIO: Final = 0.85
 """Guiding targets take no more of the line than this. The program sends as many where all joints
 that are guided move, and one for two steps breaks the limit of a fast joint (`streamed`)."""
+COARSE_NS: Final = 400 * NS_PER_MS
+"""A joint whose model is wrong gets a spot move this often. Chosen: a servo that begins each move
+at rest needs 0.3 s to gain 180 deg/s and to lose it again at 600 deg/s2; moves of 0.3 s do as well.
+"""
 SPOT_WAIT_NS: Final = 2 * GUIDE_PERIOD_NS
 """A spot move waits no longer for a gap between guiding targets. Chosen: two of their rounds."""
 RAMP_LEAST_S: Final = 0.3
@@ -68,6 +72,8 @@ class Spot(NamedTuple):
     period_ns: int
     """The time that its spot move has; 0: it gets the rest of its move under way."""
     late_ns: int
+    is_coarse: bool = False
+    """Whether the model of the joint is wrong: it gets the plan's angle, and T as it is."""
 
 
 def ramp_s(
@@ -122,11 +128,10 @@ class RampPeriods:
 
 
 def spot_move(
-    state: JointState,
+    spot: Spot,
     line: SerialLine,
     *,
     now_ns: int,
-    period_ns: int,
     planned_deg: Callable[[JointState, int], float],
     ends_ns: int | None,
 ) -> SpotMove | None:
@@ -135,6 +140,7 @@ def spot_move(
     `ends_ns` is when the course comes to rest, if it does: moves from there on reach no further.
     Streamed joints are guided instead (`guide`).
     """
+    state, period_ns = spot.state, spot.period_ns
     is_stepped = state.joint.drive == "stepped"
     arrival_ns = line.arrival_ns(0, now_ns)
     # A jump is right in the middle of the time for which it holds.
@@ -148,6 +154,8 @@ def spot_move(
         return None
     if is_stepped:
         return SpotMove(aim_deg, 0.0)
+    if spot.is_coarse:
+        return SpotMove(aim_deg, s_from_ns(period_ns))
     if ends_ns is not None and ahead_ns >= ends_ns:
         travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
         return SpotMove(aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
@@ -159,6 +167,51 @@ def spot_move(
     way_deg += math.copysign(beyond_deg, way_deg)
     aim_deg = position_deg + way_deg - state.disturbance.offset_deg
     return SpotMove(aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
+
+
+def tick_spots(
+    state: JointState,
+    planned_deg: Callable[[JointState, int], float],
+    rate: float,
+    now_ns: int,
+    period_ns: int,
+    late_ns: int,
+) -> list[Spot]:
+    """Return the spot move of a joint at a tick; none while a coarse one is under way.
+
+    A joint gets few long ones where the model of its servo is wrong. A servo that begins each move
+    at rest, for example, hardly moves if it gets one at each tick.
+    """
+    is_known = state.disturbance.horn.model_ratio == 1.0
+    if is_known or rate == 0.0 or state.joint.drive != "timed":
+        return [Spot(state, now_ns, period_ns, late_ns)]
+    until_ns, at_rate = state.coarse_until
+    if at_rate == rate and now_ns + period_ns // 2 < until_ns:
+        return []
+    coarse_ns = _coarse_ns(state, planned_deg, now_ns, period_ns)
+    state.lead_coarsely(now_ns + coarse_ns, rate)
+    return [Spot(state, now_ns, coarse_ns, late_ns, is_coarse=True)]
+
+
+def _coarse_ns(
+    state: JointState,
+    planned_deg: Callable[[JointState, int], float],
+    now_ns: int,
+    period_ns: int,
+) -> int:
+    """Return the time that a coarse spot move has: until the plan turns round, if that is soon.
+
+    It is a multiple of `period_ns`, after which the next tick comes.
+    """
+    here_ns = now_ns + ns_from_s(state.lead_s)
+    before_deg, way_deg = planned_deg(state, here_ns), 0.0
+    for ahead_ns in range(period_ns, COARSE_NS + 1, period_ns):
+        next_deg = planned_deg(state, here_ns + ahead_ns)
+        step_deg = next_deg - before_deg
+        if way_deg * step_deg < 0.0:
+            return ahead_ns - period_ns
+        way_deg, before_deg = step_deg or way_deg, next_deg
+    return max(COARSE_NS, period_ns)
 
 
 def _closing_deg(state: JointState, off_deg: float, period_ns: int) -> float:

@@ -87,15 +87,20 @@ class StandingCorrector:
         """Drop the readings before a correction took effect."""
         self._errors_deg.clear()
 
-    def take(self, error_deg: float, read_s: float, noise_deg: float) -> None:
-        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it."""
+    def take(
+        self, error_deg: float, read_s: float, noise_deg: float, strange_deg: float = 0.0
+    ) -> None:
+        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it.
+
+        `strange_deg` is the part of that which is certainly not the load as it was known before.
+        """
         errors = self._errors_deg
-        usual_deg = sum(errors) / len(errors) if errors else error_deg
+        usual_deg = sum(errors) / len(errors) if errors else error_deg - strange_deg
         far_deg = max(PUSH_DEG, PUSH_SIGMAS * noise_deg)
         is_steady = len(errors) >= READINGS_LEAST and read_s - self._since_s > STEADY_S
         near_deg = far_deg if is_steady or self.is_pushed else 0.5 * far_deg
         if abs(error_deg - usual_deg) > near_deg:
-            if not self.is_pushed and is_steady:
+            if not self.is_pushed and (is_steady or abs(strange_deg) > far_deg):
                 self.is_pushed, self._usual_deg = True, usual_deg
             errors.clear()
         elif self.is_pushed and abs(error_deg - self._usual_deg) < 0.5 * far_deg:

@@ -42,6 +42,7 @@ from lss_motion.playing.player.rate_ramps import (
     rejoin,
     send_deferred,
     spot_move,
+    tick_spots,
 )
 from lss_motion.playing.player.show_clock import (
     Due,
@@ -641,11 +642,11 @@ class Streamer:
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
         """Lead every joint that is off its course there in one period; guide those streamed."""
         self._spots = []
-        ahead_ns = now_ns + 2 * period_ns
+        ahead_ns, rate = now_ns + 2 * period_ns, self.clock.target_rate
         for state in self.joint_states.values():
             if state.joint.drive != "streamed":
                 state.leave_program(now_ns)
-                self._spots.append(Spot(state, now_ns, period_ns, late_ns))
+                self._spots += tick_spots(state, self.planned_deg, rate, now_ns, period_ns, late_ns)
             elif state.guide_ns is None and is_off_course(
                 state, self.planned_deg, now_ns, ahead_ns
             ):
@@ -669,10 +670,9 @@ class Streamer:
                 self._send_rest(spot, now_ns)
                 continue
             move = spot_move(
-                state,
+                spot,
                 line,
                 now_ns=now_ns,
-                period_ns=spot.period_ns,
                 planned_deg=self.planned_deg,
                 ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
             )

@@ -115,7 +115,7 @@ def test_the_show_becomes_faster_as_it_became_slower(kit):
     for turn in range(7):
         climb.judge({ASTRAY: "is astray"} if turn < 3 else {}, turn * S)
         rates.append(climb.rate_max)
-    assert rates == [0.5, 0.25, 0.125, 0.25, 0.5, 1.0, 1.0]
+    assert rates == [0.5, 0.25, 0.125, 0.125, 0.25, 0.5, 1.0]
 
 
 def test_what_was_put_right_is_forgotten(kit):
