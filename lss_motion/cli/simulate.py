@@ -52,6 +52,14 @@ def add_to(commands: Commands) -> None:
         "or a seed",
     )
     sim.add_argument(
+        "--lines",
+        choices=("strict", "lenient"),
+        default="strict",
+        help="what servos do with lines that no document describes, such as '#1 D500' or "
+        "'#1D100.0': strict, they ignore them (default), or lenient, they take them as they seem "
+        "to be meant; both are named and counted",
+    )
+    sim.add_argument(
         "--usb-latency-ms",
         type=_latency,
         default=0,
@@ -123,6 +131,7 @@ def _sim(arguments: argparse.Namespace) -> int:
         faults=faults,
         usb_latency_ns=arguments.usb_latency_ms * NS_PER_MS,
         hand=None if arguments.hand is None else hand_of(arguments.hand, robot),
+        lines=arguments.lines,
         announce=say,
     )
     return ended_by(number)

@@ -6,6 +6,7 @@
 | `pty` | buses behind pseudo-terminals, in real time | `lss-motion sim`, tests, benches |
 | `wire` | the two serial lines byte by byte, the USB adapter, the order of replies | `bus` |
 | `servo` | the firmware of one servo: commands, moves, RC mode, LED | `bus` |
+| `odd_lines` | lines that no document describes: counted, and how they are read | `bus` |
 | `readings` | the settings of a servo and its answers | `servo` |
 | `boards` | LSS-2IO boards with their pins | `bus` |
 | `motors` | all motors of a bus: orders, current, temperature, safe mode | `bus`, `servo` |

@@ -21,6 +21,7 @@ from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, Board, make_boards
 from lss_motion.sim.faults import FOREVER_NS, RESTARTING, Drift, FaultKind, Faults, SecondMaster
 from lss_motion.sim.horns import HornHistory
 from lss_motion.sim.motors import Motors
+from lss_motion.sim.odd_lines import OddLines
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
 from lss_motion.sim.wire import Adapter, Answer, Answering, HostLine, ServoLine
@@ -70,8 +71,7 @@ class SimBus:
         usb_latency_ns: int = 0,
         inputs: Mapping[int, int] | None = None,
     ) -> None:
-        physics = physics or Physics()
-        own_count = len(servos)
+        physics, own_count = physics or Physics(), len(servos)
         servos = [*servos, *_twins(servos, faults)]
         randoms = [Random(f"{seed}/{index}") for index in range(len(servos))]
         phases_ns = [random.randrange(TICK_NS) for random in randoms]
@@ -94,6 +94,7 @@ class SimBus:
         self._is_ordered = firmware >= ORDERED_FIRMWARE and families != {Family.LSS_PRO}
         self._adapter = Adapter(usb_latency_ns)
         self._host_line = HostLine(baud_bps)
+        self.odd_lines = OddLines(physics.lines, is_grouped=self._is_ordered)
         self._servo_line = ServoLine(baud_bps, Random(f"{seed}/line"), self._adapter)
         self._faults = Faults(faults, Random(f"{seed}/faults"))
         self._answering = Answering(
@@ -304,6 +305,7 @@ class SimBus:
             if lines[0][0] > until_ns:
                 return False
             received_ns, sent = lines.popleft()
+            sent = self.odd_lines.read(sent)
         elif other_ns <= until_ns:
             received_ns, sent = self._second_master.pop()
         else:

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.physics import Physics
+from lss_motion.sim.physics import Lines, Physics
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ class Deviation(Struct, frozen=True, kw_only=True):
     dead_s: float = 0.0
     ramp_ratio: float = 1.0
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
+    lines: Lines = "strict"
     t_law: Literal["cruise", "exact"] = "cruise"
     t_ignored_s: float = 0.0
     t_least_s: float = 0.0
@@ -64,6 +65,7 @@ class Deviation(Struct, frozen=True, kw_only=True):
             dead_s=self.dead_s,
             ramp_ratio=self.ramp_ratio,
             retarget=self.retarget,
+            lines=self.lines,
             t_law=self.t_law,
             t_ignored_s=self.t_ignored_s,
             t_least_s=self.t_least_s,
@@ -133,6 +135,7 @@ WORDS: Final[dict[str, Word]] = {
     "dead": Word("dead_s", "s", 0.0, 0.5, "a command takes effect so much later"),
     "ramp": Word("ramp_ratio", "ratio", 0.02, 10.0, "ramps are so many times AA and AD"),
     "retarget": Word("retarget", "", 0, 0, "keep_speed, or from_rest: a new move begins at rest"),
+    "lines": Word("lines", "", 0, 0, "strict, or lenient: undocumented lines as they seem meant"),
     "t_law": Word("t_law", "", 0, 0, "cruise, or exact: T holds for the whole move"),
     "t_ignored": Word("t_ignored_s", "s", 0.0, 10.0, "a shorter T is ignored"),
     "t_least": Word("t_least_s", "s", 0.0, 10.0, "a shorter T is taken as this one"),
@@ -150,7 +153,11 @@ WORDS: Final[dict[str, Word]] = {
 }
 
 _KEYS: Final = f"keys are {', '.join(WORDS)}"
-_CHOICES: Final = {"retarget": ("keep_speed", "from_rest"), "t_law": ("cruise", "exact")}
+_CHOICES: Final = {
+    "retarget": ("keep_speed", "from_rest"),
+    "t_law": ("cruise", "exact"),
+    "lines": ("strict", "lenient"),
+}
 _SCALES: Final = {
     "s": {"s": 1.0, "ms": 1e-3},
     "deg": {"deg": 1.0, "": 1.0},

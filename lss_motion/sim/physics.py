@@ -41,6 +41,9 @@ class Turnaround(Struct, frozen=True, kw_only=True):
     command."""
 
 
+Lines = Literal["strict", "lenient"]
+
+
 class Physics(Struct, frozen=True, kw_only=True):
     """The numbers that every servo of a bus shares. An *assumed* default has no published source.
 
@@ -57,6 +60,8 @@ class Physics(Struct, frozen=True, kw_only=True):
     `t_ignored_s`, `t_least_s`, `t_step_s`  a shorter T is ignored, or is taken as this one; T is
                             rounded to multiples of the step. Assumed: nothing of this; no document
                             gives a smallest T.
+    `lines`                 what servos do with lines that no document describes: `strict`, they
+                            ignore them, or `lenient` (FACTS.md A27). Assumed: strict.
     `noise_deg`             half width of the uniform noise of a position reading of an LSS
                             (FACTS.md E7: one tenth).
     `pro_noise_ratio`       noise of an LSS-PRO over that (FACTS.md P15: a few hundredths).
@@ -102,6 +107,7 @@ class Physics(Struct, frozen=True, kw_only=True):
     t_ignored_s: float = 0.0
     t_least_s: float = 0.0
     t_step_s: float = 0.0
+    lines: Lines = "strict"
     noise_deg: float = 0.1
     pro_noise_ratio: float = 0.2
     supply_v: float = 12.0

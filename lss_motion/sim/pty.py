@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.sim.bus import bus_from_robot
+from lss_motion.sim.physics import Lines, Physics
 from lss_motion.system.reactor import wait_for
 from lss_motion.system.real_time import prompt_waits
 from lss_motion.system.signals import ENDING
@@ -48,7 +49,7 @@ RESTING_POLL_NS = 200 * NS_PER_MS
 """How often `should_stop` is polled when nothing else happens."""
 
 
-def serve(
+def serve(  # noqa: PLR0913  (what one simulated robot needs)
     robot: Robot,
     link: Path | None,
     *,
@@ -57,17 +58,25 @@ def serve(
     faults: Sequence[Fault] = (),
     usb_latency_ns: int = 0,
     hand: Hand | None = None,
+    lines: Lines = "strict",
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:
     """Serve every bus of `robot` until a signal ends it or `should_stop()`; return the signal.
 
     `link` becomes a symbolic link to the port, `LINK.<bus>` where there are several buses; it
     is removed when this returns. A host may close and reopen a port at any time. `announce` gets
-    the path of each port, and a line when a port was unplugged or blocked, or is back.
+    the path of each port, a line when a port was unplugged or blocked, or is back, and what a
+    program sends that no document describes.
     """
     buses = {
         name: bus_from_robot(
-            robot, name, seed=seed, faults=faults, usb_latency_ns=usb_latency_ns, hand=hand
+            robot,
+            name,
+            seed=seed,
+            physics=Physics(lines=lines),
+            faults=faults,
+            usb_latency_ns=usb_latency_ns,
+            hand=hand,
         )
         for name in robot.buses
     }
@@ -96,6 +105,9 @@ def serve_buses(
             ports.append(port)
         while not received and not should_stop():
             _turn(ports, alarm_fd)
+        for name, bus in buses.items():
+            if summary := bus.odd_lines.summary():
+                announce(f"{name}: lines that no document describes: {summary}")
     return received[0] if received else None
 
 
@@ -209,6 +221,8 @@ class PtyPort:
     def give(self, now_ns: int) -> None:
         """Deliver bytes that have arrived or are about to arrive; bytes without room are lost."""
         self._deliver(self.bus.read(now_ns))
+        for text in self.bus.odd_lines.take_texts():
+            self._announce(f"{self._name}: {text}")
         arrival_ns = self.bus.next_arrival_ns()
         if arrival_ns is not None and arrival_ns <= now_ns + EARLY_NS:
             data = self.bus.read(arrival_ns)
