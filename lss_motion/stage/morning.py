@@ -289,7 +289,7 @@ def advice(night: Night) -> list[str]:
 # ---- as text, JSON, HTML
 
 
-class Part(Struct, frozen=True, kw_only=True):
+class NightPart(Struct, frozen=True, kw_only=True):
     """A part of what is told of a night: a table with its head, or lines."""
 
     title: str = ""
@@ -300,14 +300,14 @@ class Part(Struct, frozen=True, kw_only=True):
     lines: tuple[str, ...] = ()
 
 
-def parts_of(night: Night) -> list[Part]:
+def parts_of(night: Night) -> list[NightPart]:
     """Return what is told of a night."""
     found = advice(night)
     shows = sorted(night.shows.items(), key=lambda item: -item[1].plays)
     cues = sorted(night.cues.items(), key=lambda item: -item[1].fired)
     parts = [
-        Part(lines=tuple(_summary(night))),
-        Part(
+        NightPart(lines=tuple(_summary(night))),
+        NightPart(
             title="shows",
             head=("show", "plays", "finished", "left", "minutes", "worst error"),
             right=range(1, 5),
@@ -323,7 +323,7 @@ def parts_of(night: Night) -> list[Part]:
                 for name, show in shows
             ),
         ),
-        Part(
+        NightPart(
             title="cues",
             head=("cue", "fired", "refused"),
             right=range(1, 2),
@@ -332,14 +332,17 @@ def parts_of(night: Night) -> list[Part]:
     ]
     if night.rests_s:
         rests = tuple(f"{reason} {s / 60:.0f} min" for reason, s in night.rests_s.items())
-        parts.append(Part(title="rested", lines=rests))
+        parts.append(NightPart(title="rested", lines=rests))
     if night.faults:
         faults = tuple(f"{one.at}  {one.text}" + _after(one) for one in night.faults)
-        parts.append(Part(title="faults", lines=faults))
+        parts.append(NightPart(title="faults", lines=faults))
     if night.player_faults:
         handled = tuple(f"{count} x {what}" for what, count in night.player_faults.items())
-        parts.append(Part(title="met by on_fault", lines=handled))
-    return [*parts, Part(title="look at" if found else "nothing to look at", lines=tuple(found))]
+        parts.append(NightPart(title="met by on_fault", lines=handled))
+    return [
+        *parts,
+        NightPart(title="look at" if found else "nothing to look at", lines=tuple(found)),
+    ]
 
 
 def _summary(night: Night) -> Iterator[str]:
@@ -422,7 +425,7 @@ def html_of(night: Night, name: str) -> str:
     )
 
 
-def _html_part(part: Part) -> str:
+def _html_part(part: NightPart) -> str:
     title = f"<h2>{html.escape(part.title)}</h2>\n" if part.title else ""
     if part.head:
         rows = [_html_row("th", part.head, part.right)]
