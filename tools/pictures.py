@@ -44,8 +44,8 @@ class Picture:
 
 
 PICTURES: Final = {
-    "studio": Picture("owl.yaml", "1", 4.8),
-    "studio_show": Picture("owl.yaml", "1", 4.8, (820, 1180), "light"),
+    "studio": Picture("owl.yaml", "1", 5.4),
+    "studio_show": Picture("owl.yaml", "1", 5.4, (820, 1180), "light"),
     "studio_timeline": Picture("hexapod_dance.yaml", "2sf", 8.0),
     "studio_robot": Picture("hexapod_dance.yaml", "3", 9.0, theme="light"),
 }
