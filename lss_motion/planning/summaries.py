@@ -219,10 +219,11 @@ def smoothings(trajectory: Trajectory) -> list[Smoothing]:
 
 def _smooth_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     """Return what it costs that the acceleration does not jump: time, angle at and between keys."""
-    found = [own for own in smoothings(trajectory) if own.jerk_max_deg_s3 > 0.0]
-    if not found:
+    every = smoothings(trajectory)
+    joints = {own.joint for own in every if own.jerk_max_deg_s3 > 0.0}
+    found = [own for own in every if own.joint in joints or own.key_error_deg > KEY_ERROR_DEG]
+    if not joints:
         return []
-    joints = {own.joint for own in found}
     by_s = max(own.by_s for own in found)
     cost = f"{by_s:.3f} s longer than without" if by_s > LATE_MIN_S else "no longer than without"
     texts = [f"smooth: {smooth_text(own)}" for own in found]
@@ -232,7 +233,9 @@ def _smooth_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
 
 def smooth_text(own: Smoothing) -> str:
     """Return the text about one joint whose acceleration does not jump."""
-    text = f"joint {own.joint!r}, jerk at most {own.jerk_max_deg_s3:.0f} deg/s³"
+    text = f"joint {own.joint!r}"
+    if own.jerk_max_deg_s3 > 0.0:
+        text += f", jerk at most {own.jerk_max_deg_s3:.0f} deg/s³"
     if own.window_s > 0.0:
         text += f", averaged over {own.window_s:.3f} s"
     if own.key_error_deg > KEY_ERROR_DEG:

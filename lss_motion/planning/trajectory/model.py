@@ -174,7 +174,7 @@ class Smoothing(Struct, frozen=True, kw_only=True):
     by_s: float
     """How much longer the first pass of the track takes than without."""
     key_error_deg: float
-    """Largest error of a key that is passed in motion."""
+    """Largest distance of the joint from a key when that is reached."""
     away_deg: float | None
     """Largest distance from the motion without smoothing; None if that takes another time."""
 

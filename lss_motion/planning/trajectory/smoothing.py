@@ -329,8 +329,12 @@ class _Rounds:
         """Return the plan with what smoothing cost, and without times that are not the author's."""
         plain, trajectory = self.plain, found.trajectory
         errors_deg = dict.fromkeys(plain.joints, 0.0)
-        for (name, _), error_deg in found.errors_deg.items():
-            errors_deg[name] = max(errors_deg[name], abs(error_deg))
+        at_s = np.array([mark.planned_s for mark in trajectory.marks])
+        reached_deg = trajectory.sample(at_s)
+        for column, name in enumerate(trajectory.joints):
+            own = keys_by_joint(self.timed, self.robot)[name]
+            off_deg = [abs(float(reached_deg[key.index, column]) - key.deg) for key in own]
+            errors_deg[name] = max(off_deg)
         by_s = trajectory.first.duration_s - plain.first.duration_s
         away_deg = _away_deg(plain, trajectory) if abs(by_s) < FIT_TOLERANCE_S else None
         given = np.where(np.isfinite(self.jerk_max), self.jerk_max, 0.0).tolist()

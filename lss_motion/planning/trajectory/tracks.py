@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.planning.trajectory.dues import Dues
     from lss_motion.planning.trajectory.model import PathClock
     from lss_motion.planning.trajectory.solver import RateTask, RateWindow
     from lss_motion.robot.model import Robot
@@ -105,14 +106,14 @@ def planned_layout(layout: Layout) -> Trajectory:
     for _ in range(SEAM_ROUNDS_MAX):
         task, (windows, clock) = with_reserve(
             layout.task(caps),
-            partial(_timed if layout.is_timed else _free, layout),
+            partial(_timed, layout, dues) if layout.is_timed else partial(_free, layout),
             seams_s=dues.seams_s,
             loop=layout.sequence.loop,
             is_met=partial(explain.is_met, dues),
         )
         rates = _seam_rates(layout, clock)
         if max(rates, default=1.0) - min(rates, default=1.0) <= SEAM_RATE_SLACK:
-            return _assembled(layout, task, windows, clock)
+            return _assembled(layout, dues, task, windows, clock)
         caps = dict.fromkeys(layout.seams(), min(rates) ** 2)
     return planned_layout(laid_out(layout.sequence, layout.robot, layout.margins, may_flow=False))
 
@@ -123,9 +124,10 @@ def _seam_rates(layout: Layout, clock: PathClock) -> list[float]:
     return [float(rate) for rate in clock.positions(times_s)[1]]
 
 
-def _timed(layout: Layout, task: RateTask, _: object) -> tuple[list[RateWindow], PathClock]:
+def _timed(
+    layout: Layout, dues: Dues, task: RateTask, _: object
+) -> tuple[list[RateWindow], PathClock]:
     windows: list[RateWindow] = []
-    dues = layout.dues()
     if segments_over_limits(task).any() or task.knot_caps:
         windows = timed_windows(task, dues)
     return windows, authored_clock(task.path, windows, layout.seams(), dues)
@@ -169,11 +171,11 @@ def _stop_square(task: RateTask, knot: int) -> float:
 
 
 def _assembled(
-    layout: Layout, task: RateTask, windows: list[RateWindow], clock: PathClock
+    layout: Layout, dues: Dues, task: RateTask, windows: list[RateWindow], clock: PathClock
 ) -> Trajectory:
     sequence, spacing = layout.sequence, layout.spacing
     stretched = (
-        explain.slow_spans(task, tuple(layout.keys), windows, clock, layout.dues())
+        explain.slow_spans(task, tuple(layout.keys), windows, clock, dues)
         if layout.is_timed
         else ()
     )

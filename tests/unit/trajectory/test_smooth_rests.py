@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from lss_motion.planning.summaries import plan_lines
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.robot.model import Bus, Robot
@@ -90,3 +91,34 @@ def test_a_show_that_is_too_fast_rests_at_both_ends_for_smoothing(limits, times,
     found = plan(Sequence(name="fast", timing=timing, keyframes=frames), robot)
     verify(found, robot)
     assert np.abs(found.sample(np.array([0.0, found.duration_s]), 1)).max() < 1e-6
+
+
+def test_a_key_that_is_not_reached_when_it_should_be_is_named() -> None:
+    limits = {
+        "j1": (-81.601, 110.617, 180.0, 600.0, math.inf),
+        "j2": (-107.187, 78.879, 360.0, 700.0, 4000.0),
+    }
+    degs = [
+        {"j1": 110.617, "j2": 78.658},
+        {"j2": 38.549},
+        {"j1": 110.617},
+        {"j2": 78.879},
+        {"j1": -81.601, "j2": 47.194},
+        {"j1": 110.514},
+    ]
+    robot = arm(limits)
+    frames = tuple(Keyframe(at_s=None, deg=deg) for deg in degs)
+    found = plan(Sequence(name="off", timing=Timing.FASTEST, keyframes=frames), robot)
+    off = {own.joint: own.key_error_deg for own in found.smoothing}
+    for name in found.joints:
+        column = found.joints.index(name)
+        worst_deg = max(
+            abs(float(found.sample(np.array([mark.planned_s]))[0, column]) - deg[name])
+            for mark, deg in zip(found.marks, degs, strict=True)
+            if name in deg
+        )
+        assert off[name] == pytest.approx(worst_deg, abs=1e-9)
+    text = "\n".join(plan_lines(found, robot, is_whole=True))
+    for name, error_deg in off.items():
+        said = f"joint {name!r}, jerk at most 4000 deg/s³" if name == "j2" else f"joint {name!r}"
+        assert (f"up to {error_deg:.2f} deg off a key" in text) == (error_deg > 0.005), said
