@@ -198,7 +198,7 @@ def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Ta
     from lss_motion.protocol.framing import Command
 
     answers = connection.ask(
-        Item(bus=target.bus, command=Command(target.servo_id, "QF"), is_query=True, tries=1)
+        Item(bus=target.bus, command=Command(target.servo_id, "QF"), tries=1)
         for target in targets
         if target.family is not Family.IO2
     )

@@ -96,16 +96,17 @@ def _send(arguments: argparse.Namespace) -> int:
     with connect({bus.name: bus}, robot=robot) as connection:
         servo = _servo(connection, bus.name, arguments, joint)
         command = _command(arguments, servo)
-        is_query = command.keyword.startswith("Q")
-        if not is_query:
+        item = Item(bus=bus.name, command=command)
+        if not item.is_query:
             standing = None if joint is None else _standing(connection, joint, command)
             verdict = judge(command, servo.language, joint, standing)
             if not _is_agreed(arguments, verdict, is_simulated=bus.port.startswith(SIMULATED)):
                 put("no: nothing was sent", sys.stderr)
                 return EXIT_INTERRUPTED
             command = verdict.command
-        answers = connection.ask([Item(bus=bus.name, command=command, is_query=is_query)])
-    if not is_query:
+            item = Item(bus=bus.name, command=command)
+        answers = connection.ask([item])
+    if not item.is_query:
         return EXIT_FINISHED
     address = (bus.name, command.servo_id, command.keyword)
     if address not in answers:
@@ -152,7 +153,7 @@ def _servo(
         return _AskedServo(language, firmware)
     keywords = ([] if is_known else ["QMS"]) + (["QF"] if firmware is None else [])
     answers = connection.ask(
-        Item(bus=bus, command=Command(servo_id, keyword), is_query=True, tries=2)
+        Item(bus=bus, command=Command(servo_id, keyword), tries=2)
         for keyword in keywords
         if keyword != "QF" or language.family is not Family.IO2
     )
@@ -175,7 +176,6 @@ def _standing(connection: Connection, joint: Joint, command: Command) -> Standin
         Item(
             bus=joint.bus,
             command=Command(joint.servo_id, keyword),
-            is_query=True,
             agree_within=round(joint.model.wire_per_deg) if keyword == "QD" else 0,
         )
         for keyword in standing_queries(joint)

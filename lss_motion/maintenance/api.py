@@ -202,7 +202,7 @@ def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> li
     """
     found = {present.servo_id: present for present in servos_at(connection, bus, names)}
     answers = connection.ask(
-        Item(bus=bus, command=Command(servo_id, "QF"), is_query=True)
+        Item(bus=bus, command=Command(servo_id, "QF"))
         for servo_id, present in found.items()
         if present.family is not Family.IO2
     )
@@ -360,7 +360,7 @@ def differing(
 def reset(connection: Connection, targets: Sequence[Target]) -> None:
     """Restart servos and wait until they receive commands again. They go limp."""
     items = [
-        Item(bus=target.bus, command=Command(target.servo_id, "RESET"), is_query=False)
+        Item(bus=target.bus, command=Command(target.servo_id, "RESET"))
         for target in targets
         if target.family is not Family.IO2
     ]
@@ -381,10 +381,10 @@ def change_id(connection: Connection, bus: str, old_id: int, new_id: int) -> Ser
             f"servo with id {old_id} alone"
         )
     for _ in range(ROUNDS):
-        connection.ask([Item(bus=bus, command=command, is_query=False)])
+        connection.ask([Item(bus=bus, command=command)])
         connection.wait(SETTLE_S)
         if present.family is not Family.IO2:
-            reset_item = Item(bus=bus, command=Command(old_id, "RESET"), is_query=False)
+            reset_item = Item(bus=bus, command=Command(old_id, "RESET"))
             connection.restart([reset_item], RESET_WAIT_S)
         found = query_each(connection, bus, {new_id: "", old_id: ""})
         if [p.servo_id for p in found] == [new_id] and found[0].model == present.model:
@@ -410,7 +410,7 @@ def change_baud(
     firmware = {
         servo_id: value
         for (_, servo_id, _), value in connection.ask(
-            Item(bus=bus, command=Command(p.servo_id, "QF"), is_query=True)
+            Item(bus=bus, command=Command(p.servo_id, "QF"))
             for p in servos
             if p.family is Family.LSS
         ).items()
@@ -430,11 +430,11 @@ def change_baud(
         )
         (boards if present.family is Family.IO2 else smart).append(command)
     for _ in range(2):  # No reply confirms it; the second covers a lost command.
-        connection.ask(Item(bus=bus, command=command, is_query=False) for command in smart)
+        connection.ask(Item(bus=bus, command=command) for command in smart)
         connection.wait(SETTLE_S)
     # A board changes its rate at once, so it is the last to get its command at the old rate.
     last = [Command(command.servo_id, "RESET") for command in smart] + boards
-    connection.ask(Item(bus=bus, command=command, is_query=False) for command in last)
+    connection.ask(Item(bus=bus, command=command) for command in last)
     connection.wait(RESET_WAIT_S)
     connection.set_baud(bus, baud_bps)
     there = {p.servo_id for p in query_each(connection, bus, {p.servo_id: "" for p in servos})}

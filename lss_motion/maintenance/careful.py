@@ -419,16 +419,16 @@ class CarefulRun(JointRun):
             if f"Q{keyword}" not in table:
                 continue
             command = make_command(joint.model.language, joint.servo_id, keyword, value)
-            item = Item(bus=joint.bus, command=command, is_query=False)
+            item = Item(bus=joint.bus, command=command)
             is_known = handshake.reported(joint, self._answers, f"Q{keyword}") is not None
             (known if is_known else unknown).append(item)
         for keyword, wire in joint.settings.items():
             command = Command(joint.servo_id, keyword, wire)
-            known.append(Item(bus=joint.bus, command=command, is_query=False))
+            known.append(Item(bus=joint.bus, command=command))
         then = handshake.position_queries([joint])
         if self.state is ExperimentState.PREPARE and self._witness:
             query = Command(joint.servo_id, self._witness)
-            then.append(Item(bus=joint.bus, command=query, is_query=True, tries=WITNESS_TRIES))
+            then.append(Item(bus=joint.bus, command=query, tries=WITNESS_TRIES))
         probes = handshake.probes([joint], self._answers, known)
         self._probes = probes.get(joint.name, [])
         lines, trackers = {joint.bus: self._line}, {joint.bus: self._poller.tracker}

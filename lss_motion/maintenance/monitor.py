@@ -211,7 +211,7 @@ class _BusRounds:
         self.rounds += 1
         self.began_ns = now_ns
         items = [
-            Item(bus=self.name, command=Command(servo_id, keyword), is_query=True, tries=1)
+            Item(bus=self.name, command=Command(servo_id, keyword), tries=1)
             for servo in self.servos
             for servo_id in [servo.target.servo_id]
             if self.suspended.get(servo_id, 0) <= now_ns

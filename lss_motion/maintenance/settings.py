@@ -104,7 +104,7 @@ def questions(target: Target, rows: Mapping[str, Row], *, is_session: bool) -> l
     for row in rows.values():
         is_stored_asked = Suffix.CONFIGURED in (row.suffixes or {}).values() and not is_session
         command = Command(target.servo_id, row.queries[0], 1 if is_stored_asked else None)
-        items.append(Item(bus=target.bus, command=command, is_query=True))
+        items.append(Item(bus=target.bus, command=command))
     return items
 
 
@@ -142,7 +142,7 @@ def orders(needed: Iterable[SettingChange], *, is_session: bool) -> list[Item]:
     for change in needed:
         keyword = (change.row.actions if is_session else change.row.configs)[0]
         command = Command(change.target.servo_id, keyword, change.wanted)
-        items.append(Item(bus=change.target.bus, command=command, is_query=False))
+        items.append(Item(bus=change.target.bus, command=command))
     return items
 
 
@@ -157,7 +157,7 @@ def limp_orders(needed: Iterable[SettingChange]) -> list[Item]:
     A servo that holds a position might turn to that position in the new frame (FACTS.md R11).
     """
     return [
-        Item(bus=target.bus, command=Command(target.servo_id, "L"), is_query=False)
+        Item(bus=target.bus, command=Command(target.servo_id, "L"))
         for target in {change.target for change in needed if change.row.name in FRAME}
     ]
 

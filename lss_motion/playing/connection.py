@@ -1,7 +1,7 @@
 """The open ports of a robot: the one way in which every command reaches its servos.
 
     with connect(robot.buses, robot=robot) as connection:
-        answers = connection.ask([Item(bus="main", command=Command(5, "QV"), is_query=True)])
+        answers = connection.ask([Item(bus="main", command=Command(5, "QV"))])
 
 A bus whose port is `sim://` is simulated in this process, from the joints of `robot`; any other
 port is opened with pyserial if it can be a serial line (`system.devices`), including the
@@ -30,7 +30,6 @@ from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from types import TracebackType
 
     from lss_motion.playing.discovery import Unasked
     from lss_motion.playing.player.events import Event
@@ -165,12 +164,7 @@ class Connection:
         self._raising.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, *_: object) -> None:
         try:
             self.close()
         except BlockedPortError as blocked:

@@ -324,7 +324,7 @@ def questions(bus: str, identity: ServoIdentity) -> list[Item]:
     """Return the queries for one servo, as far as its family answers them."""
     table = FAMILY_TABLES[identity.family]
     return [
-        Item(bus=bus, command=Command(identity.servo_id, keyword), is_query=True)
+        Item(bus=bus, command=Command(identity.servo_id, keyword))
         for keyword in _QUESTIONS
         if keyword in table.by_keyword and _is_answered_by(identity, keyword)
     ]
@@ -333,7 +333,7 @@ def questions(bus: str, identity: ServoIdentity) -> list[Item]:
 def cause_questions(conditions: Sequence[ServoCondition]) -> list[Item]:
     """Return the queries for the cause of safe mode, to the servos that are in it."""
     return [
-        Item(bus=condition.bus, command=Command(condition.servo_id, "Q", 1), is_query=True)
+        Item(bus=condition.bus, command=Command(condition.servo_id, "Q", 1))
         for condition in conditions
         if condition.status is Status.SAFE_MODE
     ]

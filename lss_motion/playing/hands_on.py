@@ -631,10 +631,7 @@ class HandsOn:
         self._enter(Phase.RESTORE)
         orders: list[Item] = []
         if self._has_acted:
-            orders += [
-                Item(bus=joint.bus, command=Command(joint.servo_id, "H"), is_query=False)
-                for joint in self.joints
-            ]
+            orders += [Item.to(joint, "H") for joint in self.joints]
         if self._has_set:
             orders += handshake.restoring_orders(self.joints, self._answers)
         self._dialogue = self._ask(orders)

@@ -37,7 +37,6 @@ from lss_motion.system.clock import MonotonicClock, VirtualClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
-    from types import TracebackType
 
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.playing.player.events import Event
@@ -167,7 +166,7 @@ class Live:
         joints = self._named(names)
         for joint in joints:
             self._limp.pop(joint.name, None)
-        self._ask([_order(joint, "H") for joint in joints])
+        self._ask([Item.to(joint, "H") for joint in joints])
 
     def hold_at_end(self) -> None:
         """Let the last bytes hold all joints, whatever `end` of the robot file says."""
@@ -182,10 +181,7 @@ class Live:
         word = "L" if is_limp else "H"
         with contextlib.suppress(BusError):
             self._ask(
-                [
-                    Item(bus=bus, command=Command(BROADCAST_ID, word), is_query=False)
-                    for bus in self.robot.buses
-                ]
+                [Item(bus=bus, command=Command(BROADCAST_ID, word)) for bus in self.robot.buses]
             )
             self._send_limp(self._limp.values())
         self._leave()
@@ -193,12 +189,7 @@ class Live:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._is_failed = self._is_failed or kind is not None
         self.close()
 
@@ -219,7 +210,7 @@ class Live:
         return [self.robot.joints[name] for name in names or self.robot.joints]
 
     def _send_limp(self, joints: Iterable[Joint]) -> None:
-        if orders := [_order(joint, "L") for joint in joints]:
+        if orders := [Item.to(joint, "L") for joint in joints]:
             self._ask(orders)
 
     def _ask(self, items: Iterable[Item]) -> Mapping[tuple[str, int, str], int | str | None]:
@@ -268,7 +259,3 @@ class Live:
     def _leave(self) -> None:
         self._is_closed = True
         self._connection.__exit__(None, None, None)
-
-
-def _order(joint: Joint, word: str) -> Item:
-    return Item(bus=joint.bus, command=Command(joint.servo_id, word), is_query=False)

@@ -50,7 +50,6 @@ from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from types import TracebackType
 
     from lss_motion.system.messages import MessagePipe
 
@@ -273,12 +272,7 @@ class ByteLog(LineTap):
     def __enter__(self) -> ByteLog:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Wait until everything is in the file, for `CLOSE_S` at most."""
         self._child.pipe.set_blocking(is_blocking=False)
         self.add(EndedLine(self._last_ns))

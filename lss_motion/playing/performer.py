@@ -35,7 +35,6 @@ from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-    from types import TracebackType
 
     from lss_motion.playing.player.events import Event
     from lss_motion.show.functions import ModuleSource
@@ -168,12 +167,7 @@ class Performer:
     def __enter__(self) -> Performer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._end(CLOSE_S if kind is None else 0.0)
 
     def _end(self, wait_s: float) -> None:

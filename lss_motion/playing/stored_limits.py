@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from lss_motion.errors import BusError, InputError
 from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.codec import storable
-from lss_motion.protocol.framing import Command
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -27,7 +26,7 @@ SETTINGS: Final = {"speed_max_deg_s": ("SD",), "accel_max_deg_s2": ("AA", "AD")}
 def questions(robot: Robot) -> list[Item]:
     """Return the queries for the open limits, as they are in this session."""
     return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}"), is_query=True)
+        Item.to(joint, f"Q{name}")
         for joint in robot.unread
         for limit in sorted(joint.unread)
         for name in SETTINGS[limit]

@@ -34,7 +34,7 @@ def robot(tmp_path):
 
 
 def ask(bus, servo_id, keyword):
-    return Item(bus=bus, command=Command(servo_id, keyword), is_query=True)
+    return Item(bus=bus, command=Command(servo_id, keyword))
 
 
 def test_questions_go_to_every_bus_and_a_missing_answer_is_absent(robot):

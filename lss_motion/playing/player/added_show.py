@@ -121,22 +121,18 @@ class AddedShow:
     def leave(self, now_ns: int) -> None:
         """Brake; then it is over."""
         if not self.is_leaving:
-            self._brake(now_ns)
+            self.streamer.set_rate(0.0, now_ns)
             self._step = _Step.BRAKE
 
     def hold(self, now_ns: int) -> None:
         """Brake, and stand there until `go_on`."""
         self._is_held = True
-        self._brake(now_ns)
-
-    def _brake(self, now_ns: int) -> None:
-        if self.streamer.rate_wanted != 0.0:
-            self.streamer.set_rate(0.0, now_ns)
+        self.streamer.set_rate(0.0, now_ns)
 
     def set_rate(self, rate: float, rate_max: float, now_ns: int) -> None:
         """Play at `rate` as far as the faults allow it, which concerns the approach, too."""
         rate = min(rate, rate_max) if self._step is _Step.SHOW else rate_max
-        if not (self.is_leaving or self._is_held) and rate != self.streamer.rate_wanted:
+        if not (self.is_leaving or self._is_held):
             self.streamer.set_rate(rate, now_ns)
 
     def go_on(self, now_ns: int) -> list[Event]:

@@ -26,7 +26,6 @@ from lss_motion.playing.player.handshake import (
 from lss_motion.playing.player.health import STATUS_CAUSES, STATUS_TEXTS, hot_text, low_voltage_text
 from lss_motion.protocol.codec import language_table, storable, stored_wire
 from lss_motion.protocol.constants import Family, Status, status_from
-from lss_motion.protocol.framing import Command
 from lss_motion.protocol.table import Suffix
 from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
@@ -112,11 +111,7 @@ def frame_queries(joints: Iterable[Joint]) -> list[Item]:
 
     One answer is enough where it is what the robot file states.
     """
-    return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}"), is_query=True)
-        for joint in joints
-        for name in expected_frame(joint)
-    ]
+    return [Item.to(joint, f"Q{name}") for joint in joints for name in expected_frame(joint)]
 
 
 def stored_queries(joints: Iterable[Joint]) -> list[Item]:
@@ -125,7 +120,7 @@ def stored_queries(joints: Iterable[Joint]) -> list[Item]:
     The answers have the keywords of the present settings, so they need a dialogue of their own.
     """
     return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}", 1), is_query=True)
+        Item.to(joint, f"Q{name}", 1)
         for joint in joints
         for name, row in storable(joint.model.language).items()
         if name in (*FRAME, *STORED_LIMITS) and Suffix.CONFIGURED in (row.suffixes or {}).values()
@@ -134,10 +129,7 @@ def stored_queries(joints: Iterable[Joint]) -> list[Item]:
 
 def sensor_queries(program: Program, robot: Robot) -> list[Item]:
     """Return a query to every sensor that the show waits for."""
-    return [
-        Item(bus=sensor.bus, command=Command(sensor.servo_id, "QA"), is_query=True)
-        for sensor in _sensors(program, robot)
-    ]
+    return [Item.to(sensor, "QA") for sensor in _sensors(program, robot)]
 
 
 # ---- what refuses

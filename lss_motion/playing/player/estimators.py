@@ -260,7 +260,9 @@ class HornEstimator:
     @property
     def finding(self) -> str:
         """What the response model does not explain about this joint; empty: nothing."""
-        if abs(self.lag_s) >= BOUND_RATIO * LAG_MAX_S and self._is_lag:
+        unsure_s = math.sqrt(max(self._cov[-1][-1], 0.0))
+        is_lag = unsure_s < LAG_SURE_S and self.explained_ratio > EXPLAINED_SURE
+        if abs(self.lag_s) >= BOUND_RATIO * LAG_MAX_S and is_lag:
             return f"it lags {1e3 * self.lag_s:.0f} ms besides what its robot file says, or more"
         if self._found >= NAMED_READINGS:
             off_s = max(self.unexplained_s, NAMED_S)
@@ -269,12 +271,6 @@ class HornEstimator:
                 f"servo, and neither load nor lag explains that"
             )
         return ""
-
-    @property
-    def _is_lag(self) -> bool:
-        """Whether it is certainly a lag that makes the horn late."""
-        unsure_s = math.sqrt(max(self._cov[-1][-1], 0.0))
-        return unsure_s < LAG_SURE_S and self.explained_ratio > EXPLAINED_SURE
 
     # ---- what readings say
 

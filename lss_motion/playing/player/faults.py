@@ -262,7 +262,7 @@ class FaultHandler:
         self._session.put_back(gone)
         self._suspected |= health.doubled
         # A power failure of one servo may have hit others that have not been noticed yet.
-        gone |= health.unresponsive() | streamer.scheduler.watch.doubted
+        gone |= health.awaited.keys() | streamer.scheduler.watch.doubted
         missing = [joint for joint in self._session.driven if joint.name in gone]
         self._wait_for(missing, now_ns)
         streamer.scheduler.doubt_all({joint.bus for joint in missing})
@@ -284,11 +284,7 @@ class FaultHandler:
                  for joint in restarted]  # fmt: skip
         wrong += [(joint, Cause.SILENT, f"is silent: servo {joint.servo_id} {SILENT_TEXT}")
                   for joint in silent]  # fmt: skip
-        taken = [
-            self.escalation.begin(joint.name, cause, text, now_ns) for joint, cause, text in wrong
-        ]
-        for fault in taken:
-            self._take(fault, now_ns)
+        taken = self._begin(wrong, now_ns)
         if any(fault.step in ENDING for fault in taken):
             return Verdict.END
         joints = [joint for joint, _, _ in wrong]
@@ -300,15 +296,19 @@ class FaultHandler:
 
     def lose_turns(self, turned: Iterable[tuple[Joint, float, float]], now_ns: int) -> Verdict:
         """Judge joints that report a servo angle in another turn than the one where they were."""
-        taken = [
-            self.escalation.begin(
-                joint.name, Cause.LOST_TURN, turn_text(joint, reported_deg, before_deg), now_ns
-            )
+        wrong = [
+            (joint, Cause.LOST_TURN, turn_text(joint, reported_deg, before_deg))
             for joint, reported_deg, before_deg in turned
         ]
+        return Verdict.END if self._begin(wrong, now_ns) else Verdict.CONTINUE
+
+    def _begin(self, wrong: Sequence[tuple[Joint, Cause, str]], now_ns: int) -> list[Faulted]:
+        """Take the first steps about new faults; return them."""
+        begin = self.escalation.begin
+        taken = [begin(joint.name, cause, text, now_ns) for joint, cause, text in wrong]
         for fault in taken:
             self._take(fault, now_ns)
-        return Verdict.END if taken else Verdict.CONTINUE
+        return taken
 
     def note_astray(self, joint: str, off_deg: float, approaches: int) -> None:
         """Note that a joint does not reach the place where the show begins or goes on."""

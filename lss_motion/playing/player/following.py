@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import deque
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal
 
 from msgspec import Struct
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.planning.program.model import Program
+    from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.streamer import Streamer
-    from lss_motion.robot.model import Robot
 
 OnNoLeader = Literal["go_on", "hold"]
 
@@ -97,35 +97,6 @@ class FollowRule(Struct, frozen=True, kw_only=True):
         return round(round(leader.rate / SPEED_STEP) * SPEED_STEP, 3)
 
 
-class Followed(Protocol):
-    """What `Following` needs of a player."""
-
-    robot: Robot
-
-    @property
-    def phase(self) -> Phase: ...
-
-    @property
-    def show(self) -> Streamer | None: ...
-
-    @property
-    def program(self) -> Program: ...
-
-    def follow(
-        self, leader: Leg, now_ns: int, trim_max_ratio: float, closing_s: float
-    ) -> float | None: ...
-
-    def set_rate(self, rate: float, now_ns: int) -> None: ...
-
-    def seek(self, place: float | str, now_ns: int) -> None: ...
-
-    def run_from(self, show_s: float, now_ns: int) -> None: ...
-
-    def hold_before_start(self, now_ns: int) -> None: ...
-
-    def wake_at(self, instant_ns: int) -> None: ...
-
-
 def require_can_follow(program: Program) -> None:
     """Raise `InputError` for a show that cannot follow a leader."""
     if program.waits:
@@ -179,14 +150,14 @@ class Following:
         self._led_ns = max(now_ns, leader.instant_ns)
         before = self._leader
         is_ahead = leader.instant_ns > now_ns
-        if is_ahead and before is not None and self._changes_speed(before, leader):
+        one, other = (
+            0.0 if before is None else self.rule.speed_of(before),
+            self.rule.speed_of(leader),
+        )
+        if is_ahead and min(one, other) > 0.0 and one != other:
             self._coming = leader  # It goes on as before until then.
         else:
             self._leader, self._coming = leader, None
-
-    def _changes_speed(self, before: Leg, leader: Leg) -> bool:
-        one, other = self.rule.speed_of(before), self.rule.speed_of(leader)
-        return min(one, other) > 0.0 and one != other
 
     def set_paused(self, *, is_paused: bool) -> None:
         """Hold, whatever the leader does, or follow it again."""
@@ -200,7 +171,7 @@ class Following:
 
     # ---- each turn
 
-    def turn(self, player: Followed, now_ns: int) -> None:
+    def turn(self, player: Player, now_ns: int) -> None:
         """Do what the leader requires now."""
         if not self._has_begun:
             self._has_begun = True
@@ -216,7 +187,7 @@ class Following:
             return
         before = self.step
         if before is Step.WAITING:
-            self._say_once("waits for its leader")
+            self._say("waits", "waits for its leader", most=1)
         self._take_coming(player, show, now_ns)
         leader = self._running_leader(player, show, now_ns)
         if leader is None:
@@ -229,7 +200,7 @@ class Following:
             self._say("step", "in step with its leader")
         self._is_new = False
 
-    def _take_coming(self, player: Followed, show: Streamer, now_ns: int) -> None:
+    def _take_coming(self, player: Player, show: Streamer, now_ns: int) -> None:
         """Change the speed half of the ramp before the leader does, which has none."""
         coming = self._coming
         if coming is None:
@@ -244,7 +215,7 @@ class Following:
         if now_ns >= coming.instant_ns:
             self._leader, self._coming = coming, None
 
-    def _running_leader(self, player: Followed, show: Streamer, now_ns: int) -> Leg | None:
+    def _running_leader(self, player: Player, show: Streamer, now_ns: int) -> Leg | None:
         """Return the leader, if the show has to run or to begin with it."""
         leader = self._leader
         if leader is None or self._is_paused:
@@ -272,7 +243,7 @@ class Following:
         before_s = 0.5 * show.ramp_over_s(1.0, now_ns)
         return Leg(now_ns, show.show_s(now_ns) - before_s, 1.0)
 
-    def _hold(self, player: Followed, show: Streamer, now_ns: int) -> None:
+    def _hold(self, player: Player, show: Streamer, now_ns: int) -> None:
         """Stand: at once before the start, else after braking."""
         self.off_s = None
         if show.clock.target_rate <= 0.0:
@@ -286,7 +257,7 @@ class Following:
             self._run_at(player, 0.0, now_ns)
             self.step = Step.HOLDING
 
-    def _go_to(self, player: Followed, show: Streamer, now_ns: int) -> None:
+    def _go_to(self, player: Player, show: Streamer, now_ns: int) -> None:
         """Go to where the leader stands, unless that is as near as a pause leaves it."""
         leader, here_s = self._leader, show.show_s(now_ns)
         if not self.rule.goes_to_it or self._is_paused:
@@ -302,7 +273,7 @@ class Following:
             self.note_request(PlayerRequest("seek", (leader.show_s,)), now_ns)
             player.seek(leader.show_s, now_ns)
 
-    def _keep_step(self, player: Followed, show: Streamer, leader: Leg, now_ns: int) -> None:
+    def _keep_step(self, player: Player, show: Streamer, leader: Leg, now_ns: int) -> None:
         """Trim the clock; stand if the leader is too far away, to rejoin it from there."""
         if not self._is_new and now_ns - self._followed_ns < FOLLOW_NS:
             return
@@ -338,7 +309,7 @@ class Following:
         is_alone = Step.ALONE if self._is_lost else Step.FREEWHEELING
         self.step = Step.RUNNING if is_led else is_alone
 
-    def _begin(self, player: Followed, show: Streamer, leader: Leg, now_ns: int) -> None:
+    def _begin(self, player: Player, show: Streamer, leader: Leg, now_ns: int) -> None:
         """Begin to run from where the show stands, or go to where the leader will be."""
         leader_s, here_s = leader.at_s(now_ns), show.show_s(now_ns)
         if here_s < show.begin_s:
@@ -366,7 +337,7 @@ class Following:
         else:
             self._join(player, show, leader, now_ns)
 
-    def _join(self, player: Followed, show: Streamer, leader: Leg, now_ns: int) -> None:
+    def _join(self, player: Player, show: Streamer, leader: Leg, now_ns: int) -> None:
         """Go to a place where the leader will be when the robot has arrived there."""
         leader_s = leader.at_s(now_ns)
         place_s = max(leader_s, 0.0)
@@ -388,7 +359,7 @@ class Following:
 
     # ---- what the player is asked for
 
-    def _run_at(self, player: Followed, rate: float, now_ns: int) -> None:
+    def _run_at(self, player: Player, rate: float, now_ns: int) -> None:
         if rate == self._rate:
             return
         self._rate = rate
@@ -396,26 +367,22 @@ class Following:
         self.note_request(PlayerRequest("rate", (rate,)), now_ns)
         player.set_rate(rate, now_ns)
 
-    def _run_from(self, player: Followed, show_s: float, now_ns: int) -> None:
+    def _run_from(self, player: Player, show_s: float, now_ns: int) -> None:
         self._rate, self._is_beyond = 1.0, False
         self.note_request(PlayerRequest("run_from", (show_s,)), now_ns)
         player.run_from(show_s, now_ns)
 
-    def _hold_before_start(self, player: Followed, now_ns: int) -> None:
+    def _hold_before_start(self, player: Player, now_ns: int) -> None:
         self._rate = 0.0
         self.note_request(PlayerRequest("hold_before_start"), now_ns)
         player.hold_before_start(now_ns)
 
-    def _wake(self, player: Followed, instant_ns: int) -> None:
+    def _wake(self, player: Player, instant_ns: int) -> None:
         if abs(instant_ns - self._woken_ns) > NS_PER_MS // 20:
             self._woken_ns = instant_ns
             player.wake_at(instant_ns)
 
-    def _say_once(self, text: str) -> None:
-        if text not in self._named:
-            self._say(text, text)
-
-    def _say(self, kind: str, text: str) -> None:
+    def _say(self, kind: str, text: str, most: int = NAMED_MAX) -> None:
         count = self._named[kind] = self._named.get(kind, 0) + 1
-        if count <= NAMED_MAX:
+        if count <= most:
             self._texts.append(text)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.query_tracker import PendingQuery
-    from lss_motion.robot.model import Bus, Joint, Robot
+    from lss_motion.robot.model import Bus, Joint, Robot, Sensor
 
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
@@ -58,10 +58,18 @@ class Item(Struct, frozen=True, kw_only=True):
 
     bus: str
     command: Command
-    is_query: bool
     tries: int = TRIES
     agree_within: int | None = None
     agreeing: int = 2
+
+    @classmethod
+    def to(cls, servo: Joint | Sensor, keyword: str, value: int | None = None) -> Item:
+        """Return a query or an order for one servo, with a value in wire units."""
+        return cls(bus=servo.bus, command=Command(servo.servo_id, keyword, value))
+
+    @property
+    def is_query(self) -> bool:
+        return self.command.keyword.startswith("Q")
 
 
 @dataclass(slots=True, eq=False)
@@ -354,7 +362,6 @@ def read_back(orders: Iterable[Item]) -> list[Item]:
         Item(
             bus=order.bus,
             command=Command(order.command.servo_id, f"Q{order.command.keyword}"),
-            is_query=True,
             agree_within=0,
         )
         for order in orders
@@ -414,10 +421,7 @@ def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
     orders = []
     for joint in joints:
         orders += _session_orders(joint, answers, is_known=True)
-        orders += [
-            _order(joint, Command(joint.servo_id, keyword, value))
-            for keyword, value in joint.settings.items()
-        ]
+        orders += [Item.to(joint, keyword, value) for keyword, value in joint.settings.items()]
     return orders
 
 
@@ -439,7 +443,10 @@ def unconfirmed_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
 def _session_orders(joint: Joint, answers: Answers, *, is_known: bool) -> list[Item]:
     known = language_table(joint.model.language).by_keyword
     return [
-        _order(joint, make_command(joint.model.language, joint.servo_id, keyword, value))
+        Item(
+            bus=joint.bus,
+            command=make_command(joint.model.language, joint.servo_id, keyword, value),
+        )
         for keyword, value in _session_of(joint).items()
         if f"Q{keyword}" in known
         and is_known is (reported(joint, answers, f"Q{keyword}") is not None)
@@ -493,16 +500,12 @@ def restoring_orders(
     All of them are repeated `RESTORING_TIMES`.
     """
     return [
-        _order(joint, Command(joint.servo_id, keyword, original))
+        Item.to(joint, keyword, original)
         for _ in range(RESTORING_TIMES)
         for joint in joints
         for keyword in (*SESSION_KEYWORDS, *changed(joint, led_joints))
         if isinstance(original := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
     ]
-
-
-def _order(joint: Joint, command: Command) -> Item:
-    return Item(bus=joint.bus, command=command, is_query=False)
 
 
 PLACE_WITHIN_DEG: Final = 2.0
@@ -533,7 +536,7 @@ def query(joint: Joint, keyword: str) -> Item:
     if keyword == "QD":
         within = round(PLACE_WITHIN_DEG * joint.model.wire_per_deg)
     command = Command(joint.servo_id, keyword)
-    return Item(bus=joint.bus, command=command, is_query=True, agree_within=within)
+    return Item(bus=joint.bus, command=command, agree_within=within)
 
 
 def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:

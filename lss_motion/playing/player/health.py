@@ -254,10 +254,6 @@ class HealthMonitor:
             if (joint.name, Cause.SILENT) not in self.active_faults
         ]
 
-    def unresponsive(self) -> set[str]:
-        """Return the joints whose last query was not answered."""
-        return set(self.awaited)
-
     def _fading(self) -> Iterator[tuple[Joint, int]]:
         """Yield servos that will count as silent, and when they last answered."""
         for one in self.awaited.values():

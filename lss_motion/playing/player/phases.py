@@ -25,7 +25,6 @@ from lss_motion.units import ns_from_s, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from lss_motion.planning.program.model import Program
     from lss_motion.playing.player.events import Event, ShowOutcome
     from lss_motion.playing.player.handshake import Answers, Dialogue
     from lss_motion.playing.player.repertoire import Repertoire
@@ -122,14 +121,11 @@ class PhaseMachine:
         self,
         repertoire: Repertoire,
         session: Session,
-        needs: Program,
+        present: PresentShow,
         *,
-        first: Program | None,
-        start_s: float | None,
         must_ask: bool,
-        is_open: bool,
     ) -> None:
-        """Begin with `first`, or with the only program of the repertoire."""
+        """Begin with what is present."""
         self.phase = Phase.CONNECT
         self.outcome: Outcome | None = None
         self.error: LssMotionError | None = None
@@ -137,9 +133,10 @@ class PhaseMachine:
         self.events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self.session = session
         self.faults = FaultHandler(session)
-        self.present = PresentShow(repertoire, session, needs, first, start_s, is_open=is_open)
-        self.added = AddedShows(repertoire, session, self.present)
-        self.dialogue: Dialogue | SettingsDialogue | Preflight | None = session.preflight(needs)
+        self.present = present
+        self.added = AddedShows(repertoire, session, present)
+        self.dialogue: Dialogue | SettingsDialogue | Preflight | None
+        self.dialogue = session.preflight(present.program)
         self.streamer: Streamer | None = None
         self.rate = 1.0
         """The rate that a person set; a fault may reduce it further."""
@@ -428,7 +425,7 @@ class PhaseMachine:
     def leave(self, now_ns: int) -> None:
         """Brake, to go on elsewhere once the robot stands."""
         if self.streamer is not None and self.phase in (Phase.APPROACH, *PLAYING):
-            self._brake(now_ns)
+            self.streamer.set_rate(0.0, now_ns)
             self._enter(Phase.SEEK)
         elif self.phase is Phase.APPROACH:
             self.dialogue = None
@@ -478,10 +475,8 @@ class PhaseMachine:
         """Go on with the show if every joint is where it begins; else repeat the approach."""
         if self._has_lost_turns(answers, now_ns):
             return
-        session = self.session
-        silent = session.note_positions(answers)
-        unknown = [*session.unreported(answers), *session.back_since(self._asked_ns)]
-        restarted = session.restarted(answers)
+        silent = self.session.note_positions(answers)
+        restarted, unknown = self.session.restarted(answers, self._asked_ns)
         for joint in unknown:
             if joint not in (*silent, *restarted):
                 silent.append(joint)
@@ -535,8 +530,7 @@ class PhaseMachine:
         rate_max = self.faults.escalation.rate_max
         if self.streamer is not None and self.phase in (Phase.APPROACH, *PLAYING):
             rate = min(rate_max, self.rate if self.phase is Phase.SHOW else 1.0)
-            if rate != self.streamer.rate_wanted:
-                self.streamer.set_rate(rate, now_ns)
+            self.streamer.set_rate(rate, now_ns)
         if self.added.shows and self.phase in DRIVING:
             for one in self.added.apart:
                 one.set_rate(self.rate, rate_max, now_ns)
@@ -550,14 +544,9 @@ class PhaseMachine:
         self.dialogue = None
         if self.streamer is not None:
             self.streamer.leave_out(self.session.left_out | self.faults.missing)
-            self._brake(now_ns)
+            self.streamer.set_rate(0.0, now_ns)
         self._enter(Phase.RECOVER)
         self.added.hold(now_ns)
-
-    def _brake(self, now_ns: int) -> None:
-        """Ramp the rate to 0, unless that was done."""
-        if self.streamer is not None and self.streamer.rate_wanted != 0.0:
-            self.streamer.set_rate(0.0, now_ns)
 
     # ---- the end
 
@@ -569,7 +558,7 @@ class PhaseMachine:
         """Brake if anything moves, then restore and end."""
         self.outcome = self.outcome or outcome
         if self.streamer is not None and self.phase in (*DRIVING, Phase.RECOVER):
-            self._brake(now_ns)
+            self.streamer.set_rate(0.0, now_ns)
             self._enter(Phase.STOP)
         elif self.phase is not Phase.STOP:
             self._restore()

@@ -26,11 +26,10 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError, LostPortError
 from lss_motion.files.texts import known_names
 from lss_motion.planning.program.verify import driven
-from lss_motion.playing.player.cues import SensorWatch
 from lss_motion.playing.player.events import Phase, Warned
 from lss_motion.playing.player.faults import Verdict
 from lss_motion.playing.player.phases import DRIVING, ENDING, PLAYING, PhaseMachine
-from lss_motion.playing.player.repertoire import Start
+from lss_motion.playing.player.repertoire import PresentShow, Start
 from lss_motion.playing.player.session import Session, approach_s
 from lss_motion.playing.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
@@ -95,25 +94,22 @@ class Player:
         needs = repertoire.needs(first)
         self.repertoire = repertoire
         self.robot = robot = driven(robot, needs)
-        options = {"has_feedback": has_feedback, "is_forced": is_forced}
-        session = Session(needs, robot, pace=repertoire.pace, **options)
-        self.watched = SensorWatch(robot.sensors[name] for name in repertoire.watched)
-        """The sensors of the repertoire that a caller watches."""
-        session.watched = self.watched
+        session = Session(
+            needs,
+            robot,
+            has_feedback=has_feedback,
+            is_forced=is_forced,
+            pace=repertoire.pace,
+            watched=repertoire.watched,
+        )
+        self.watched = session.watched
         self.lines = session.lines
         self.trackers = session.trackers
         self.unasked = session.unasked
         self._session = session
-        self._machine = PhaseMachine(
-            repertoire,
-            session,
-            needs,
-            first=first,
-            start_s=start_s,
-            must_ask=must_ask,
-            is_open=is_open,
-        )
-        self._present, self._added = self._machine.present, self._machine.added
+        self._present = PresentShow(repertoire, session, needs, first, start_s, is_open=is_open)
+        self._machine = PhaseMachine(repertoire, session, self._present, must_ask=must_ask)
+        self._added = self._machine.added
         self._stalls, self._stops, self.idle_ns = StallDetector(), 0, IDLE_NS
         self._wakes_ns: list[int] = []
         """Instants at which a caller must be called, a heap."""

@@ -118,26 +118,16 @@ class PollScheduler:
         self.watched = SensorWatch(())
         """Sensors that are polled although no show waits for them."""
 
-    def anew(self) -> PollScheduler:
-        """Return a scheduler without faults; the count of rejected readings goes on."""
-        joint_states = {state.joint.name: state for state in self._by_address.values()}
-        scheduler = PollScheduler(
-            joint_states, self._trackers, self._lines, self._waiting, self._probes, self._pace
-        )
-        scheduler.rejected, scheduler.watched = self.rejected, self.watched
-        return scheduler
+    def renewed(self, joint_states: Mapping[str, JointState] | None = None) -> PollScheduler:
+        """Return a scheduler for these states of the same joints, with all that is known so far.
 
-    def among(self, joint_states: Mapping[str, JointState]) -> PollScheduler:
-        """Return a scheduler for these states of the same joints, with all that is known so far."""
-        scheduler = PollScheduler(
-            joint_states,
-            self._trackers,
-            self._lines,
-            self._waiting,
-            self._probes,
-            self._pace,
-            known=self,
-        )
+        None: for the present states, without faults. The count of rejected readings goes on.
+        """
+        known = None if joint_states is None else self
+        if joint_states is None:
+            joint_states = {state.joint.name: state for state in self._by_address.values()}
+        own = self._trackers, self._lines, self._waiting, self._probes, self._pace
+        scheduler = PollScheduler(joint_states, *own, known=known)
         scheduler.rejected, scheduler.watched = self.rejected, self.watched
         return scheduler
 
@@ -332,7 +322,7 @@ class PollScheduler:
         delayed by one query at most, that about health if it is late, for a servo in EM0 brakes
         without its next target.
         """
-        tracker, quiet = self._trackers[bus], self.health.unresponsive()
+        tracker, quiet = self._trackers[bus], self.health.awaited
         waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
         for last_sent_ns, state in sorted(waits_ns, key=lambda wait: wait[0]):
             urgent = self.watch.urgent(state.joint.name)

@@ -350,7 +350,8 @@ class Preflight:
 
     def _refusals(self) -> list[Refusal]:
         if self._before is not None:
-            return _exchanges(self._joints, self, self._before, self._robot)
+            before, robot = self._before, self._robot
+            return [one for joint in self._joints for one in _exchange(joint, self, before, robot)]
         present = standing_deg(self._joints, self.answers)
         joints = [joint for joint in self._joints if joint.name in present]
         return checks.refusals(joints, self.answers, self.stored, self._robot, self._show)
@@ -399,7 +400,7 @@ def _identity_queries(joints: Iterable[Joint], before: Answers) -> list[Item]:
     A serial number, which is not asked for before a show, is asked for in any case.
     """
     return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_query=True)
+        Item.to(joint, keyword)
         for joint in joints
         for keyword in (f"Q{name}" for name in IDENTITY)
         if (joint.bus, joint.servo_id, keyword) in before
@@ -407,17 +408,11 @@ def _identity_queries(joints: Iterable[Joint], before: Answers) -> list[Item]:
     ]
 
 
-def _exchanges(
-    joints: Iterable[Joint], asked: Preflight, before: Preflight, robot: Robot
-) -> list[Refusal]:
-    """Return one refusal for each joint whose servo does not answer as it did `before`.
+def _exchange(joint: Joint, asked: Preflight, before: Preflight, robot: Robot) -> Iterator[Refusal]:
+    """Yield a refusal if the servo of a joint does not answer as it did `before`.
 
     Another one may have taken its place, or it was set up anew, while it was away.
     """
-    return [refusal for joint in joints for refusal in _exchange(joint, asked, before, robot)]
-
-
-def _exchange(joint: Joint, asked: Preflight, before: Preflight, robot: Robot) -> Iterator[Refusal]:
     for new, old, is_stored in (
         (asked.answers, before.answers, False),
         (asked.stored, before.stored, True),

@@ -94,6 +94,7 @@ class Session:
         has_feedback: bool,
         is_forced: bool = False,
         pace: Pace | None = BY_NEED,
+        watched: Iterable[str] = (),
     ) -> None:
         """Take what all programs of the run need together, as one program."""
         self.on_fault = program.on_fault
@@ -114,8 +115,8 @@ class Session:
         self._before: Preflight | None = None
         self.standing_deg: dict[str, float] = {}
         """Servo angles by joint, as of the last query while nothing moved."""
-        self.watched = SensorWatch(())
-        """Sensors that are polled from the first streamer on."""
+        self.watched = SensorWatch(robot.sensors[name] for name in watched)
+        """Sensors that are polled from the first streamer on, for a caller that acts on them."""
         self.left_out: set[str] = set()
         """Joints that are sent no move."""
         self.limp: list[Joint] = []
@@ -306,26 +307,19 @@ class Session:
         is_near = off_deg <= self.robot.joints[joint].following_deg
         return Arrival.THERE if is_near else Arrival.ASTRAY, joint, off_deg
 
-    def restarted(self, answers: Answers) -> list[Joint]:
-        """Return the driven servos that no longer have the settings that they were sent."""
-        return self._with_other_settings(answers, has_reported=True)
+    def restarted(self, answers: Answers, since_ns: int) -> tuple[list[Joint], list[Joint]]:
+        """Return the driven servos that no longer have their settings, and those that may not.
 
-    def unreported(self, answers: Answers) -> list[Joint]:
-        """Return the driven servos that did not report whether they still have them."""
-        return self._with_other_settings(answers, has_reported=False)
-
-    def _with_other_settings(self, answers: Answers, *, has_reported: bool) -> list[Joint]:
+        The latter did not report them, or were away, and have answered again since `since_ns`.
+        """
         probes = handshake.restart_probes(self.driven, self.original)
-        others = {
-            (order.bus, order.command.servo_id)
+        has_reported = {
+            (order.bus, order.command.servo_id): handshake.is_answered(order, answers)
             for order in handshake.not_applied(probes, answers)
-            if handshake.is_answered(order, answers) is has_reported
         }
-        return [joint for joint in self.driven if (joint.bus, joint.servo_id) in others]
-
-    def back_since(self, since_ns: int) -> list[Joint]:
-        """Return the driven servos that were away, and have answered again since then."""
-        return [j for j in self.driven if self.trackers[j.bus].back_ns(j.servo_id) > since_ns]
+        wrong = [(one, has_reported.get((one.bus, one.servo_id))) for one in self.driven]
+        back = [j for j in self.driven if self.trackers[j.bus].back_ns(j.servo_id) > since_ns]
+        return [j for j, has in wrong if has], [j for j, has in wrong if has is False] + back
 
     def unrestored_text(self) -> str:
         """Return a warning about settings that are not given back; empty if none was changed."""

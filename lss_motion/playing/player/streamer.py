@@ -176,7 +176,7 @@ class Streamer:
         self._beside = tuple(others)
         self._suspend_lent()
         if self.scheduler is not None:
-            self.scheduler = self.scheduler.among(self.all_states())
+            self.scheduler = self.scheduler.renewed(self.all_states())
 
     def adopt(self, joint_states: Mapping[str, JointState]) -> None:
         """Take these states in place of its own: another streamer has moved their joints."""
@@ -285,6 +285,8 @@ class Streamer:
 
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits require."""
+        if rate == self.rate_wanted:
+            return
         if self.waiting.is_standing:
             self.waiting.rate_after = rate
             return
@@ -343,7 +345,7 @@ class Streamer:
             self.joint_states[name].stand_at(servo_deg)
         self.leave_out(left_out)
         if self.scheduler is not None:
-            self.scheduler = self.scheduler.anew()
+            self.scheduler = self.scheduler.renewed()
 
     # ---- sending
 

@@ -20,7 +20,6 @@ from lss_motion.show.gait.stepping import STILL, Twist
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-    from types import TracebackType
 
 
 STEP_RATIO: Final = 0.25
@@ -129,12 +128,7 @@ class Gamepad:
     def __enter__(self) -> Gamepad:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._close()
 
     def filenos(self) -> list[int]:

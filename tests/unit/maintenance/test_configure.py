@@ -64,7 +64,7 @@ def targets_by(connection, ids):
 
 def order(connection, servo_id, keyword, value=None):
     command = Command(servo_id, keyword, value)
-    connection.ask([Item(bus="main", command=command, is_query=False)])
+    connection.ask([Item(bus="main", command=command)])
 
 
 def test_a_robot_file_is_compared_written_and_kept_over_a_restart(connected, spec, configure):

@@ -46,9 +46,7 @@ def asked(robot):
 
     def ask(*settings):
         with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
-            connection.ask(
-                Item(bus="main", command=Command(*setting), is_query=False) for setting in settings
-            )
+            connection.ask(Item(bus="main", command=Command(*setting)) for setting in settings)
             connection.wait(0.02)
             return robot_from_answers(robot, connection.ask(questions(robot)))
 

@@ -147,7 +147,7 @@ def test_two_buses_do_not_wait_for_each_other(spec, connected):
 
 def test_a_moving_horn_is_seen_moving(watched, spec, connected):
     connection = connected(spec(1))
-    connection.ask([Item(bus="main", command=Command(1, "D", 900, (("T", 2000),)), is_query=False)])
+    connection.ask([Item(bus="main", command=Command(1, "D", 900, (("T", 2000),)))])
     watch = Watch([target(1)], connection.buses)
     statuses, speeds = set(), []
 
@@ -329,7 +329,7 @@ joints:
   arm: {id: 2, model: LSS-P-S1, range_deg: [0, 9], speed_max_deg_s: 9, accel_max_deg_s2: 90}
 """)
     connection = connected(spec(2, "LSS-P-S1"), firmware=firmware)
-    connection.ask([Item(bus="main", command=Command(2, "H"), is_query=False)])
+    connection.ask([Item(bus="main", command=Command(2, "H"))])
     monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
     assert main(["monitor", str(robot), "--for", "1"]) == 0
     assert "holding" in capsys.readouterr().out

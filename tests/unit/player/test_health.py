@@ -189,8 +189,8 @@ def test_a_row_of_questions_that_is_lost_at_once_is_no_silence(state):
 
 def test_servos_that_did_not_answer_the_last_query_are_known(state):
     health = HealthMonitor()
-    assert health.unresponsive() == set()
+    assert health.awaited.keys() == set()
     health.unanswered(state, S, 0)
-    assert health.unresponsive() == {"j0"}
+    assert health.awaited.keys() == {"j0"}
     health.answered(state)
-    assert health.unresponsive() == set()
+    assert health.awaited.keys() == set()

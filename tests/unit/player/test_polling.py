@@ -275,7 +275,7 @@ def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question
     desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)
     last_reply_ns = desk.tracker.last_reply_ns(1)
     assert KNOWN_NS - 50 * MS < last_reply_ns < KNOWN_NS + 50 * MS
-    desk.scheduler = desk.scheduler.anew()
+    desk.scheduler = desk.scheduler.renewed()
     desk.run(KNOWN_NS + 300 * MS, last_reply_ns + S - 1)
     assert desk.scheduler.health.active_faults == {}
     desk.run(last_reply_ns + S, last_reply_ns + S + MS)
@@ -289,12 +289,12 @@ def test_a_servo_that_answers_is_not_silent_whether_accepted_or_not(kit):
     for _ in range(2):
         desk.tracker.send(Command(1, "QD"), 0)
     desk.scheduler.receive("main", Reply(1, "QD", 7), 2 * MS, planned_deg)
-    assert desk.scheduler.health.unresponsive() == {"j1"}
+    assert desk.scheduler.health.awaited.keys() == {"j1"}
     assert not desk.joint_states["j0"].trace.points, (
         "there is another question that it could answer"
     )
     desk.scheduler.receive("main", Reply(2, "QD", 7), 3 * MS, planned_deg)
-    assert desk.scheduler.health.unresponsive() == {"j1"}, "nobody asked"
+    assert desk.scheduler.health.awaited.keys() == {"j1"}, "nobody asked"
 
 
 def test_no_servo_waits_for_long_because_others_are_busier(kit):
@@ -528,7 +528,7 @@ def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
     desk.values[1, "QD"] = 850
     desk.run(S // 2, S // 2 + 30 * MS)
     assert desk.scheduler.rejected == {"main": 1}, "until it is said twice"
-    anew = desk.scheduler.anew()
+    anew = desk.scheduler.renewed()
     assert (anew.rejected, anew.health.active_faults) == ({"main": 1}, {})
 
 
@@ -547,7 +547,7 @@ def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
     for word in ("QD", *HEALTH_KEYWORDS):
         desk.values[2, word] = None
     desk.run(KNOWN_NS, KNOWN_NS + 900 * MS)
-    assert desk.scheduler.health.unresponsive() == {"j1"}
+    assert desk.scheduler.health.awaited.keys() == {"j1"}
     assert desk.scheduler.health.active_faults == {}
     desk.run(KNOWN_NS + 900 * MS, KNOWN_NS + 1100 * MS)
     assert desk.scheduler.health.active_faults.keys() == {("j1", Cause.SILENT)}

@@ -10,11 +10,11 @@ from lss_motion.protocol.framing import Command, Reply
 
 
 def ask(servo_id, keyword="QD", bus="main"):
-    return Item(bus=bus, command=Command(servo_id, keyword), is_query=True)
+    return Item(bus=bus, command=Command(servo_id, keyword))
 
 
 def order(servo_id, keyword, value, bus="main"):
-    return Item(bus=bus, command=Command(servo_id, keyword, value), is_query=False)
+    return Item(bus=bus, command=Command(servo_id, keyword, value))
 
 
 class TransactionBench:
@@ -123,7 +123,7 @@ def test_a_question_left_in_flight_by_what_came_before_answers_nothing_here(kit)
 
 def sure(servo_id, within=0, keyword="QD"):
     command = Command(servo_id, keyword)
-    return Item(bus="main", command=command, is_query=True, agree_within=within)
+    return Item(bus="main", command=command, agree_within=within)
 
 
 @pytest.mark.parametrize(
