@@ -54,13 +54,11 @@ TARGETS = {
     "planning/program/move_table": ("tests/unit/program/test_move_table.py",),
     "playing/player/estimators": ("tests/unit/player/test_estimators.py",),
     "playing/player/faults": ("tests/unit/player/test_faults.py", _LADDER),
-    "playing/player/health": (
-        "tests/unit/player/test_health.py",
-        "tests/unit/player/test_settings_watch.py",
-    ),
+    "playing/player/health": ("tests/unit/player/test_health.py",),
     "playing/player/joint_state": ("tests/unit/player/test_joint_state.py",),
     "playing/player/servo_model": (
         "tests/unit/player/test_lost_moves.py",
+        "tests/unit/player/test_settings_watch.py",
         "tests/unit/player/test_joint_state.py",
     ),
     "playing/player/polling": ("tests/unit/player/test_polling.py",),

@@ -251,7 +251,7 @@ class _SequenceBuilder:
         self.keyframes[-1] = replace(self.keyframes[-1], hold_s=JOIN_HOLD_S)
         way_s = max(
             abs(deg - self.here_deg.get(name, deg))
-            / min(self.robot.approach_speed_deg_s, self.robot.joints[name].speed_max_deg_s)
+            / self.robot.approach_deg_s(self.robot.joints[name])
             for name, deg in to_deg.items()
         )
         return round(self.end_s + 2 * JOIN_HOLD_S + max(way_s, POSE_LEAST_S), 2)

@@ -21,10 +21,11 @@ from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.player import checks, handshake
 from lss_motion.playing.player.events import Event, Faulted, Phase, PhaseEntered, Warned
 from lss_motion.playing.player.handshake import Dialogue, Item, SettingsDialogue
-from lss_motion.playing.player.health import STATUS_TEXTS, Probe, ServoWatch, turn_text
+from lss_motion.playing.player.health import STATUS_TEXTS, turn_text
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import health_words
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+from lss_motion.playing.player.servo_model import Probe, ServoSettings
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command, encode
@@ -71,7 +72,7 @@ class ServoHealth:
 class _Hand:
     """What the poller knows of one joint besides its angle and its health."""
 
-    servo: ServoWatch
+    servo: ServoSettings
     words: tuple[str, ...] = ()
     """The queries that come before each move: whether its servo has restarted."""
     left: list[str] = field(default_factory=list)
@@ -117,7 +118,7 @@ class Poller:
         self._lines = lines
         self._trackers = trackers
         self._fresh: list[Reading] = []
-        self._hands = {(j.bus, j.servo_id): _Hand(ServoWatch(j)) for j in joints}
+        self._hands = {(j.bus, j.servo_id): _Hand(ServoSettings(j)) for j in joints}
         self.restarted: dict[str, str] = {}
         """By joint, the fault of a servo that has lost its settings since they were set."""
         self.doubled: list[Joint] = []
@@ -326,9 +327,9 @@ class Poller:
         if state in (Status.SAFE_MODE, Status.ERROR):
             cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
             self._report(joint, f"reports {state.value}", cause)
-        if (text := hand.servo.take_status(state, asked_ns)) is not None:
+        if hand.servo.is_limp_again(state, asked_ns):
             hand.servo.powered_ns = None
-            self._report(joint, text, Cause.RESTARTED)
+            self._report(joint, STATUS_TEXTS[Cause.RESTARTED], Cause.RESTARTED)
 
     def _report(self, joint: Joint, text: str, cause: Cause) -> None:
         if (key := f"{joint.name} {text}") not in self._reported:

@@ -318,6 +318,10 @@ class Robot(Struct, frozen=True, kw_only=True):
         """The joints with a limit that is set in the servo and was not read yet."""
         return [joint for joint in self.joints.values() if joint.unread]
 
+    def approach_deg_s(self, joint: Joint) -> float:
+        """Return the speed at which a joint is led to where a show starts, or moved by hand."""
+        return min(self.approach_speed_deg_s, joint.speed_max_deg_s)
+
     def require_turns(self, joints: Iterable[Joint]) -> None:
         """Raise `InputError` for the first joint whose turn is unknown after power-up."""
         for joint in joints:

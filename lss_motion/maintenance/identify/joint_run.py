@@ -29,11 +29,13 @@ from lss_motion.maintenance.identify.trials import (
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.checks import reported_firmware
 from lss_motion.playing.player.handshake import Dialogue
-from lss_motion.playing.player.health import ServoWatch, status_fault
+from lss_motion.playing.player.health import STATUS_TEXTS, status_fault
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+from lss_motion.playing.player.servo_model import ServoSettings
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
+from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.profile import Profile, ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.identify.trials import MotionWindow
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.handshake import Answers, Item, SettingsDialogue
-    from lss_motion.playing.player.health import Probe
+    from lss_motion.playing.player.servo_model import Probe
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 
@@ -385,7 +387,7 @@ class PositionPoller:
         self._count = 0
         self._silent_count = self._silent_ns = 0
         self._status: Status | None = None
-        self.servo = ServoWatch(joint)
+        self.servo = ServoSettings(joint)
 
     def watch(self, probes: Sequence[Probe], now_ns: int) -> None:
         """Watch for a restart from now on: the servo is set to these, and is to have power."""
@@ -420,7 +422,7 @@ class PositionPoller:
         self._silent_count += count
         lasts_ns = now_ns - self._silent_ns
         self.is_silent = self._silent_count >= SILENT_ASKS and lasts_ns >= SILENT_NS
-        self.servo.note_timeout(now_ns)
+        self.servo.note_sign(now_ns)
         if self.servo.urgent is not None:
             self._next_ns = now_ns
 
@@ -460,8 +462,9 @@ class PositionPoller:
         status = status_from(code, self.joint.model.family, self._firmware)
         before, self._status = self._status, status
         is_passing = status is Status.STUCK and before is not Status.STUCK
-        fault = self.servo.take_status(status, asked_ns)
-        return fault if is_passing or fault is not None else status_fault(status)
+        if self.servo.is_limp_again(status, asked_ns):
+            return STATUS_TEXTS[Cause.RESTARTED]
+        return None if is_passing else status_fault(status)
 
 
 def not_arrived(

@@ -25,7 +25,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     show_clock      show time, the moves due on it, how late they are   streamer, cues, report
     following       keeps a show in step with a leader                  sync, remote
     rate_ramps      moves computed at run time: other rates, off plan   streamer
-    servo_model     which moves a servo has lost; its filter in EM0     joint_state, rate_ramps
+    servo_model     moves and settings that a servo has; its filter     joint_state, hands_on, identify
     joint_state     one joint: sent moves, model, readings              streamer, polling
     estimators      load, play, lag, lost moves of a joint              joint_state
     standing        corrections of a joint at rest                      joint_state
@@ -33,7 +33,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     query_choice    which servo is polled next, and for what            polling
     query_tracker   one line, and the queries in flight on it           all that send
     unasked         what arrives on a bus beyond its queries            session, monitor
-    health          faults and restarts, found in answers or silence    polling, hands_on, identify
+    health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player
     cues            marks, cues, and waits for sensors                  session, streamer
     events          what happened, as values                            player, cli, runtime

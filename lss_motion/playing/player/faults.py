@@ -262,7 +262,7 @@ class FaultHandler:
         self._session.put_back(gone)
         self._suspected |= health.doubled
         # A power failure of one servo may have hit others that have not been noticed yet.
-        gone |= health.awaited.keys() | streamer.scheduler.watch.doubted
+        gone |= health.awaited.keys() | streamer.scheduler.doubted
         missing = [joint for joint in self._session.driven if joint.name in gone]
         self._wait_for(missing, now_ns)
         streamer.scheduler.doubt_all({joint.bus for joint in missing})

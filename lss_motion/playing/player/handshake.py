@@ -24,8 +24,8 @@ from msgspec.structs import replace
 
 from lss_motion.errors import BusError, PlaybackError
 from lss_motion.playing.player.cues import LED_KEYWORD
-from lss_motion.playing.player.health import Probe
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+from lss_motion.playing.player.servo_model import Probe
 from lss_motion.protocol.codec import language_table, make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, Reply, encode

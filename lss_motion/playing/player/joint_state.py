@@ -27,6 +27,7 @@ from lss_motion.playing.player.estimators import (
 )
 from lss_motion.playing.player.servo_model import (
     LostMoveDetector,
+    ServoSettings,
     Setpoints,
     make_setpoints,
     step_gain_deg,
@@ -63,9 +64,7 @@ REST_DEG_S = 1.0
 REST_DEG = 0.5
 """A timed servo at rest is no further than this from its target. Chosen: the braking distance from
 that speed, with room for the error after a lost move."""
-LEG_MAX_S: Final = s_from_ms(DURATION_MAX_MS)
-"""The longest move."""
-LONGEST_NS = ns_from_s(LEG_MAX_S)
+LONGEST_NS = ns_from_s(s_from_ms(DURATION_MAX_MS))
 RECENT_S: Final = (0.0, 0.08, 0.16, 0.25)
 """A horn that lags is still on its way so long after its profile. Chosen: three times the largest
 lag that is corrected, and a ramp between the samples."""
@@ -157,6 +156,8 @@ class JointState:
     """By how much moves leave earlier than the program says, to make up for the lag. It does not
     change while a joint in EM0 moves. The step instants of the filter are unknown: a send instant
     that creeps past one skips a target or uses one twice, which exceeds the acceleration limit."""
+    settings: ServoSettings = field(init=False)
+    """Whether the servo still has them; the scheduler that polls it sets and keeps them."""
     standing: StandingCorrector = field(default_factory=StandingCorrector)
     _is_correcting: bool = False
     _is_approach: bool = False
@@ -175,6 +176,9 @@ class JointState:
     _spare_deg: float = 0.0
     """What the last jump of a stepped joint left of what it was allowed; less than 0: it was
     rounded up."""
+
+    def __post_init__(self) -> None:
+        self.settings = ServoSettings(self.joint)
 
     # ---- where the servo is
 
@@ -274,6 +278,18 @@ class JointState:
         self.in_doubt = True
         self._has_missed |= has_missed or self.resend_ns is not None
         self._resend_at()
+
+    def doubt(self, now_ns: int, count: int = 1) -> None:
+        """Note a sign that the servo has restarted; several in a row hold its moves back."""
+        if self.settings.note_sign(now_ns, count):
+            self.hold_back()
+
+    def take_probe(self, keyword: str, value: int | str | None) -> str | None:
+        """Judge the answer to a probe; return the fault of a servo that has restarted."""
+        fault, doubt = self.settings.take(keyword, value), self.settings.doubt
+        if fault is not None or (doubt is not None and doubt.proofs):
+            self.hold_back()
+        return fault
 
     def release(self) -> bool:
         """Send moves to the servo again; return whether any was held back."""
@@ -635,18 +651,13 @@ def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
         joint = joints[name]
         here_deg = joint.joint_deg(servo_deg)
         out_deg = max(joint.position_min_deg - here_deg, here_deg - joint.position_max_deg)
-        if joint.drive != "timed" or out_deg > LEG_MAX_S * approach_deg_s(robot, joint):
+        if joint.drive != "timed" or out_deg > s_from_ns(LONGEST_NS) * robot.approach_deg_s(joint):
             joints[name] = replace(
                 joint,
                 position_min_deg=min(joint.position_min_deg, here_deg),
                 position_max_deg=max(joint.position_max_deg, here_deg),
             )
     return replace(robot, joints=joints)
-
-
-def approach_deg_s(robot: Robot, joint: Joint) -> float:
-    """Return the speed at which a joint moves to where a show starts."""
-    return min(robot.approach_speed_deg_s, joint.speed_max_deg_s)
 
 
 def make_joint_states(

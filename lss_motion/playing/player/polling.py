@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.playing.player.cues import SensorWatch
-from lss_motion.playing.player.health import HOLD_SIGNS, HealthMonitor, SettingsWatch, Silence
+from lss_motion.playing.player.health import HealthMonitor
 from lss_motion.playing.player.query_choice import (
     BY_NEED,
     LONGEST_NS,
@@ -23,6 +23,7 @@ from lss_motion.playing.player.query_choice import (
     Pace,
     Polled,
 )
+from lss_motion.playing.player.servo_model import HOLD_SIGNS, ServoSettings, Silence
 from lss_motion.playing.player.show_clock import earliest_after
 from lss_motion.protocol.codec import reply_number
 from lss_motion.protocol.constants import Family, Status
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
     from lss_motion.playing.player.cues import Waiting
-    from lss_motion.playing.player.health import Probe
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.query_tracker import PendingQuery, QueryTracker, SerialLine
+    from lss_motion.playing.player.servo_model import Probe
 
 
 @lru_cache(maxsize=1024)
@@ -96,8 +97,12 @@ class PollScheduler:
         self._pace = pace
         self._waiting = waiting
         self._probes = probes
-        self._probe_words = {name: {one.keyword for one in own} for name, own in probes.items()}
-        self.watch: SettingsWatch = SettingsWatch(probes) if known is None else known.watch
+        self.settings: dict[str, ServoSettings] = {} if known is None else known.settings
+        self.doubted: set[str] = set() if known is None else known.doubted
+        """The joints whose settings are in doubt."""
+        for name, state in joint_states.items():
+            fresh = ServoSettings(state.joint, probes.get(name, ()), self.doubted)
+            state.settings = self.settings.setdefault(name, fresh)
         self.health: HealthMonitor = HealthMonitor() if known is None else known.health
         self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
         self.to_resend: dict[str, JointState] = {}
@@ -109,7 +114,7 @@ class PollScheduler:
             if state.joint.drive != "stepped":  # It answers with its last command only.
                 self._by_bus[state.joint.bus].append(state)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in joint_states.values()}
-        polled = Polled(self._by_bus, trackers, lines, self.watch, self.health)
+        polled = Polled(self._by_bus, trackers, lines, self.doubted, self.health)
         self._choice = FullLine(polled) if pace is None else ByNeed(polled, pace)
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
         self._wakeup_ns: int | None = None
@@ -169,8 +174,8 @@ class PollScheduler:
         for bus, tracker in self._trackers.items():
             for state in self._by_bus[bus]:
                 servo_id, name = state.joint.servo_id, state.joint.name
-                if is_long or tracker.is_waiting(servo_id) or name in self.watch.doubted:
-                    self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)
+                if is_long or tracker.is_waiting(servo_id) or name in self.doubted:
+                    state.doubt(now_ns, HOLD_SIGNS)
 
     def poll_behind(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Poll a servo of each bus that is due soon, behind the moves that leave now.
@@ -228,7 +233,7 @@ class PollScheduler:
         """Send a query that was chosen, if line and servo allow it now."""
         state, keyword = found
         question, size_bytes = query_of(state.joint.servo_id, keyword)
-        is_urgent = bool(self.watch.doubted) and keyword == self.watch.urgent(state.joint.name)
+        is_urgent = bool(self.doubted) and keyword == state.settings.urgent
         if not self._send_if_allowed(
             bus,
             question,
@@ -325,7 +330,7 @@ class PollScheduler:
         tracker, quiet = self._trackers[bus], self.health.awaited
         waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
         for last_sent_ns, state in sorted(waits_ns, key=lambda wait: wait[0]):
-            urgent = self.watch.urgent(state.joint.name)
+            urgent = state.settings.urgent
             is_due = now_ns - last_sent_ns > LONGEST_NS or state.joint.name in quiet
             if urgent is None and not is_due:
                 continue
@@ -345,7 +350,7 @@ class PollScheduler:
                 is_sent = True
                 if word == health:
                     self._choice.note_health_sent(state, word, now_ns)
-                    self.watch.note_query(state.joint.name, word, now_ns)
+                    state.settings.note_query(word, now_ns)
             if is_sent:
                 return
 
@@ -425,13 +430,13 @@ class PollScheduler:
         if is_lss and reply.keyword == TARGET_KEYWORD and reply.value is None:
             sent_ns = state.last_arrival_ns
             if sent_ns is not None and sent_ns < arrival_ns:
-                self.watch.note_sign(state, arrival_ns, count=HOLD_SIGNS)
+                state.doubt(arrival_ns, HOLD_SIGNS)
 
     def doubt_all(self, buses: Collection[str]) -> None:
         """Examine all servos of some buses: what made one restart may have hit the others."""
         for bus in buses:
             for state in self._by_bus[bus]:
-                self.watch.note_sign(state, self._trackers[bus].last_sent_ns(state.joint.servo_id))
+                state.doubt(self._trackers[bus].last_sent_ns(state.joint.servo_id))
 
     def _note_lost_move(self, state: JointState) -> None:
         """Send the rest of a lost move; where it may be in another turn, only after a reading."""
@@ -445,19 +450,16 @@ class PollScheduler:
     def _take_status(self, state: JointState, code: int, arrival_ns: int) -> None:
         self.health.status(state, code)
         if state.status is Status.LIMP:
-            self.watch.note_sign(state, arrival_ns, count=HOLD_SIGNS)
+            state.doubt(arrival_ns, HOLD_SIGNS)
 
     def _take_probe(self, state: JointState, reply: Reply) -> bool:
         """Judge by the answer to a probe whether a servo has restarted; False: it is another.
 
         A servo that has not restarted gets the moves that were held back.
         """
-        name, value = state.joint.name, reply.value
-        if reply.keyword not in self._probe_words.get(name, ()):
+        if reply.keyword not in state.settings.keywords:
             return False
-        number = value if isinstance(value, int) else None
-        fault = self.watch.take(state, reply.keyword, number)
-        if fault is not None:
+        if (fault := state.take_probe(reply.keyword, reply.value)) is not None:
             self.health.lost_settings(state, fault)
         else:
             self._release(state)
@@ -465,8 +467,7 @@ class PollScheduler:
 
     def _release(self, state: JointState) -> None:
         """Send a servo the moves that were held back, if it is in doubt no more."""
-        may_move = self.watch.allows_moves(state.joint.name)
-        if state.in_doubt and may_move and state.release():
+        if state.in_doubt and state.settings.has_settings and state.release():
             self.to_resend[state.joint.name] = state
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
@@ -499,12 +500,12 @@ class PollScheduler:
         seen = state.observe(measured_deg, read_s, plan_deg(state, query.arrival_ns))
         if seen is None:
             self.rejected[bus] += 1
-            self.watch.note_sign(state, query.arrival_ns)
+            state.doubt(query.arrival_ns)
             return
         if seen.has_lost_move:
             self.to_resend[state.joint.name] = state
         if state.joint.drive == "streamed" and abs(seen.model_error_deg) > BEHIND_DEG:
-            self.watch.note_sign(state, query.arrival_ns)
+            state.doubt(query.arrival_ns)
         self.health.position(state.joint, seen, query.arrival_ns)
 
     def _note_timeout(self, bus: str, expired: PendingQuery, now_ns: int) -> None:
@@ -514,7 +515,7 @@ class PollScheduler:
             self.health.unanswered(state, now_ns, now_ns if since_ns is None else since_ns)
             if since_ns is None or since_ns <= expired.arrival_ns:  # No later query was answered.
                 was_held = state.in_doubt
-                self.watch.note_sign(state, now_ns)
+                state.doubt(now_ns)
                 if state.in_doubt and not was_held:  # Its power may be that of the others.
                     self.doubt_all([bus])
 
@@ -522,4 +523,4 @@ class PollScheduler:
         """Hold all servos of a bus back if several fell silent at once: all may have restarted."""
         if self._silences[bus].unanswered(servo_id):
             for state in self._by_bus[bus]:
-                self.watch.note_sign(state, now_ns, count=HOLD_SIGNS)
+                state.doubt(now_ns, HOLD_SIGNS)

@@ -22,9 +22,9 @@ from lss_motion.protocol.constants import Family
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
-    from lss_motion.playing.player.health import HealthMonitor, SettingsWatch
+    from lss_motion.playing.player.health import HealthMonitor
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 
@@ -128,7 +128,8 @@ class Polled(Struct, frozen=True):
     by_bus: Mapping[str, Sequence[JointState]]
     trackers: Mapping[str, QueryTracker]
     lines: Mapping[str, SerialLine]
-    watch: SettingsWatch
+    doubted: Collection[str]
+    """The joints whose settings are in doubt."""
     health: HealthMonitor
 
 
@@ -139,7 +140,7 @@ class QueryChoice(ABC):
         self._by_bus = polled.by_bus
         self._trackers = polled.trackers
         self._lines = polled.lines
-        self._watch = polled.watch
+        self._doubted = polled.doubted
         self._health = polled.health
         self._health_wait: dict[str, int] = dict.fromkeys(polled.by_bus, 0)
         """Number of queries on each bus since the last one about health."""
@@ -152,11 +153,10 @@ class QueryChoice(ABC):
         self._rested_ns: int | None = None
         """Period of queries to a servo that rests in its place; None: as of any other."""
         self._late_counts: dict[str, int] = {}
-        names = [state.joint.name for states in polled.by_bus.values() for state in states]
-        self._probes = {name: self._watch.keywords(name) for name in names}
-        """By joint, the keywords of its probes."""
         self._health_periods_ns = {
-            name: HEALTH_NS // 2 if self._probes[name] else HEALTH_NS for name in names
+            state.joint.name: HEALTH_NS // 2 if state.settings.keywords else HEALTH_NS
+            for states in polled.by_bus.values()
+            for state in states
         }
         """By joint, the period of the queries about health; probes are every other one."""
 
@@ -201,8 +201,7 @@ class QueryChoice(ABC):
     def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
         """Note that the query which `next_query` returned was sent."""
         name = state.joint.name
-        if keyword in self._probes[name]:
-            self._watch.note_query(name, keyword, now_ns)
+        state.settings.note_query(keyword, now_ns)
         self._health_wait[bus] += 1
         self._visits_ns[name] = now_ns
         if keyword == PLACE_KEYWORD:
@@ -224,12 +223,12 @@ class QueryChoice(ABC):
         words = [self.fresh(bus, state)]
         if words != [PLACE_KEYWORD]:
             return words
-        word = self._late_health(state, now_ns) or self._watch.read_back(state.joint.name, now_ns)
+        word = self._late_health(state, now_ns) or state.settings.read_back(now_ns)
         return words if word is None else [*words, word]
 
     def note_health_sent(self, state: JointState, keyword: str, now_ns: int) -> None:
         """Note a query about health, or a probe, to the servo of a joint."""
-        if keyword not in self._probes[state.joint.name]:
+        if keyword not in state.settings.keywords:
             self._healths_ns[state.joint.name] = now_ns
         # What went along early makes the next one no earlier.
         planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))
@@ -250,7 +249,7 @@ class QueryChoice(ABC):
         return words[count % len(words)]
 
     def _health_round(self, state: JointState) -> tuple[str, ...]:
-        return health_round(state.joint.model.family, self._probes[state.joint.name])
+        return health_round(state.joint.model.family, state.settings.keywords)
 
     def _health_word(self, state: JointState) -> str:
         words = self._health_round(state)
@@ -275,11 +274,11 @@ class QueryChoice(ABC):
         A servo with an overdue answer gets a query for which this answer cannot be taken.
         """
         tracker, servo_id, name = self._trackers[bus], state.joint.servo_id, state.joint.name
-        if name in self._watch.doubted:
-            return self._watch.urgent(name)
+        if name in self._doubted:
+            return state.settings.urgent
         if tracker.is_overdue(servo_id, PLACE_KEYWORD):
             return self.fresh(bus, state)
-        if self._probes[name] and (probe := self._watch.read_back(name, now_ns)) is not None:
+        if (probe := state.settings.read_back(now_ns)) is not None:
             return probe
         is_due = state.target_due_ns <= now_ns and not tracker.is_overdue(servo_id, TARGET_KEYWORD)
         return TARGET_KEYWORD if is_due and not tracker.awaits(servo_id, TARGET_KEYWORD) else None
@@ -294,7 +293,7 @@ class QueryChoice(ABC):
         weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * (speed_deg_s if speed_deg_s > 0.0 else -speed_deg_s)
         weight += ERROR_WEIGHT_PER_DEG * (error_deg if error_deg > 0.0 else -error_deg)
         overdue_ns = age_ns if age_ns > LONGEST_NS else 0
-        if name in self._watch.doubted or name in self._health.unconfirmed:
+        if name in self._doubted or name in self._health.unconfirmed:
             overdue_ns = DOUBT_NS + age_ns
         lost_moves = state.lost_moves
         is_target_due = lost_moves is not None and lost_moves.target_due_ns <= now_ns
@@ -304,7 +303,7 @@ class QueryChoice(ABC):
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
         if tracker.is_waiting(servo_id):
             return False
-        return tracker.quiet_until_ns(servo_id) <= now_ns or state.joint.name in self._watch.doubted
+        return tracker.quiet_until_ns(servo_id) <= now_ns or state.joint.name in self._doubted
 
 
 RIDE_RATIO: Final = 0.75
@@ -391,7 +390,7 @@ class ByNeed(QueryChoice):
         if every.words:
             self._look(bus, every)
             state = every.states[every.visited]
-            if not self._watch.doubted and self._quiet_until_ns(bus, state) <= now_ns:
+            if not self._doubted and self._quiet_until_ns(bus, state) <= now_ns:
                 return state, every.words[-1]
             self.end_visit(bus)
         return None
@@ -462,8 +461,8 @@ class ByNeed(QueryChoice):
 
     def _look(self, bus: str, every: _Round) -> None:
         """Note what has changed besides answers: moves that left, and doubts."""
-        if self._doubts or self._watch.doubted or self._health.unconfirmed:
-            doubts = len(self._watch.doubted) + len(self._health.unconfirmed)
+        if self._doubts or self._doubted or self._health.unconfirmed:
+            doubts = len(self._doubted) + len(self._health.unconfirmed)
             if doubts != self._doubts:
                 self._doubts = doubts
                 for one in self._rounds:
@@ -487,7 +486,7 @@ class ByNeed(QueryChoice):
         if not self._trackers[bus].is_waiting(servo_id):
             quiet_until_ns = self._trackers[bus].quiet_until_ns(servo_id)
             place_ns, target_ns = self._places_ns.get(name), state.target_due_ns
-            if name in self._watch.doubted:
+            if name in self._doubted:
                 due_ns = 0.0
             elif place_ns is None or name in self._health.unconfirmed:
                 due_ns = quiet_until_ns
@@ -535,12 +534,12 @@ class ByNeed(QueryChoice):
         first = self._priority_word(bus, state, now_ns)
         if first is None:
             first = self._health.unconfirmed.get(name)
-        probes = self._probes[name]
+        probes = state.settings.keywords
         period_ns, place_ns = self._place_period_ns(state), self._places_ns.get(name)
         age_ns = math.inf if place_ns is None else now_ns - place_ns
         is_late = age_ns > 2.0 * period_ns
         is_overdue = self._trackers[bus].is_overdue(state.joint.servo_id, PLACE_KEYWORD)
-        is_single = is_overdue or name in self._watch.doubted
+        is_single = is_overdue or name in self._doubted
         if is_single or first not in (None, TARGET_KEYWORD, *probes):
             return [first or PLACE_KEYWORD]
         if first in probes and is_late:
@@ -611,7 +610,7 @@ class FullLine(QueryChoice):
         row, tracker = self._rows[bus], self._trackers[bus]
         if row is not None and row.left > 0:
             servo_id = row.state.joint.servo_id
-            if tracker.quiet_until_ns(servo_id) <= now_ns and not self._watch.doubted:
+            if tracker.quiet_until_ns(servo_id) <= now_ns and not self._doubted:
                 return row
         # A row is not cut short for a servo that must report its target: that would cost a tenth
         # of the answers (measured), and that servo waits for a row or two at most.
@@ -626,7 +625,7 @@ class FullLine(QueryChoice):
         latency = tracker.latency(servo_id)
         if not latency.is_known or tracker.is_overdue(servo_id, PLACE_KEYWORD):
             return 1
-        if state.joint.name in self._watch.doubted:
+        if state.joint.name in self._doubted:
             return 1
         line = self._lines[bus]
         reply_ns = line.time_ns(tracker.reply_bytes(servo_id, PLACE_KEYWORD))

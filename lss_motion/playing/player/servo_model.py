@@ -1,10 +1,19 @@
-"""What a servo makes of the moves that it was sent: which it has received, and its filter in EM0.
+"""What a servo makes of what it was sent: moves, settings, and the targets of its filter in EM0.
 
 `LostMoveDetector`: a line without acknowledgement loses a command now and then, and the servo goes
 on with the one before. So after every move to another target the servo is polled for its target
 (QDT, FACTS.md C2: "the target angle during and after an action"). An answer with the target before
 means that the move was lost. Besides, for each of the last moves the profile without it is kept
 until a reported target or the readings decide: they tell the profiles apart once these diverge.
+
+`ServoSettings`: a servo that restarts is back with its stored settings, which may allow more than
+the joint does. It does not report that. So the settings that a restart would change back, its
+probes, are read with the health queries. Between two of them a restart shows by other signs:
+queries without an answer, an angle to which the horn cannot have turned, a servo that is limp. With
+the first sign the servo is in doubt and a probe is queried at once. With a few signs in a row, or
+an answer as after a restart, it is sent no move until a probe is answered. The answer is right: its
+moves go on. It is wrong: the servo has restarted. One wrong answer is no proof, since a bus without
+checksums can deliver one.
 
 `Setpoints`: the filter steps at unknown instants. It is modelled for several of the possible ones,
 and gives the targets that keep the limits for all. `closing_deg` is how fast a joint that is off
@@ -14,13 +23,17 @@ its plan closes in on it.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.planning.program.streamed import SETTLED_DEG
-from lss_motion.units import ns_from_s
+from lss_motion.protocol.constants import Status
+from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lss_motion.planning.program.reference_grid import ServoLimits
     from lss_motion.robot.model import Joint
     from lss_motion.robot.profile import Profile
@@ -364,3 +377,193 @@ class LostMoveDetector:
             return None
         self.alternatives = []
         return likely.profile.copy()  # `last` may share it.
+
+
+HOLD_SIGNS: Final = 3
+"""Signs in a row after which a servo is sent no move. Chosen: on a line that loses every tenth
+answer, that is one query in a thousand; a servo that does not answer at all is held back after
+50 ms, since each query is given up after 10 to 15 ms."""
+PROOFS: Final = 2
+"""Wrong answers in a row that prove a restart."""
+READ_BACK_NS: Final = 3 * NS_PER_S // 10
+"""A probe of a servo is queried at least this often when it is its turn, however slow its line is:
+a restart that nothing else shows is found by it. Chosen: on an idle line the health queries do that
+every 0.25 s; three servos at 9600 bps need a tenth of the line for it."""
+
+
+class Probe(NamedTuple):
+    """The query of one setting, with answers as wire values."""
+
+    keyword: str
+    value: int
+    """The answer of a servo that has not restarted."""
+    original: int | None
+    """The answer before the show, and probably after a restart."""
+
+
+@dataclass(slots=True)
+class _Doubt:
+    """Signs of a restart of one servo since its last right answer."""
+
+    signs: int = 0
+    last_ns: int = -1
+    proofs: int = 0
+    wrong: dict[str, int] = field(default_factory=dict)
+    """The last wrong answer by keyword."""
+
+
+class Silence:
+    """Whether several servos of one bus fell silent together: their common power may have failed.
+
+    A servo that is silent while another one answers has its own reason, until it answers again.
+    """
+
+    def __init__(self) -> None:
+        self._timeouts: Counter[int] = Counter()
+        """By servo id, since the last answer on the bus."""
+        self._mute: set[int] = set()
+
+    def answered(self, servo_id: int | None) -> None:
+        """Note an answer of a servo; None: the answer does not say of which."""
+        if self._timeouts:
+            self._mute.update(self._timeouts)
+            self._timeouts.clear()
+        if servo_id in self._mute:
+            self._mute.remove(servo_id)
+
+    def unanswered(self, servo_id: int) -> bool:
+        """Note a query without an answer; return whether several servos fell silent together.
+
+        Besides those of one servo that takes `HOLD_SIGNS` less one timeouts of others.
+        """
+        if servo_id in self._mute:
+            return False
+        self._timeouts[servo_id] += 1
+        return self._timeouts.total() - max(self._timeouts.values()) >= HOLD_SIGNS - 1
+
+
+class ServoSettings:
+    """Whether one servo still has the settings that it was given, its `probes` (see the module).
+
+    A servo without a probe has the same settings after a restart, so it is never in doubt. It is
+    sent no move while it `is_doubtful`, or as its owner decides after signs.
+    """
+
+    def __init__(
+        self, joint: Joint, probes: Sequence[Probe] = (), doubted: set[str] | None = None
+    ) -> None:
+        """`doubted` holds the names of all joints whose settings are in doubt."""
+        self.joint = joint
+        self.powered_ns: int | None = None
+        """When the servo received what gives its motor power; None: it may be limp."""
+        self.is_limp = False
+        """Whether its last status was that of a limp servo although it has power."""
+        self._doubted: set[str] = set() if doubted is None else doubted
+        self.begin(probes)
+
+    def begin(self, probes: Sequence[Probe]) -> None:
+        """Watch from now on: the servo was set to these."""
+        self._probes = {probe.keyword: probe for probe in reversed(probes)}
+        self.keywords = tuple(probe.keyword for probe in probes)
+        """The queries whose answers `take` judges."""
+        self.doubt: _Doubt | None = None
+        self.is_lost = False
+        """Whether the servo was proved to have restarted."""
+        self._read_ns: int | None = None
+        """Instant of the last probe."""
+        self._read_count = 0
+
+    @property
+    def has_settings(self) -> bool:
+        """Whether its settings are not in doubt, and not known to be lost."""
+        return self.doubt is None and not self.is_lost
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the servo may have restarted, or has."""
+        return self.is_limp or not self.has_settings
+
+    @property
+    def urgent(self) -> str | None:
+        """The probe that must be queried at once; None: there is no doubt.
+
+        After a timeout it is another one. A late answer to an earlier query is as good.
+        """
+        doubt, words = self.doubt, self.keywords
+        return None if doubt is None else words[doubt.signs % len(words)]
+
+    def trust(self) -> None:
+        """Note that the servo has the settings again that it had lost."""
+        self.is_lost, self.is_limp, self.powered_ns = False, False, None
+
+    def read_back(self, now_ns: int) -> str | None:
+        """Return the probe that must be queried since the last one was too long ago."""
+        if not self.keywords or self.is_lost:
+            return None
+        if self._read_ns is not None and now_ns - self._read_ns < READ_BACK_NS:
+            return None
+        return self.keywords[self._read_count % len(self.keywords)]
+
+    def note_query(self, keyword: str, now_ns: int) -> None:
+        """Note a query that was sent to the servo."""
+        if keyword in self.keywords:
+            self._read_ns, self._read_count = now_ns, self._read_count + 1
+
+    def note_sign(self, now_ns: int, count: int = 1) -> bool:
+        """Note a sign of a restart that counts `count` times; several at one instant are one.
+
+        Return whether there were so many that the servo must be sent no move.
+        """
+        if not self.keywords or self.is_lost:
+            return False
+        doubt = self._doubted_now()
+        if doubt.last_ns != now_ns:
+            doubt.last_ns = now_ns
+            doubt.signs += count
+        return doubt.signs >= HOLD_SIGNS
+
+    def take(self, keyword: str, value: int | str | None) -> str | None:
+        """Judge the answer to a probe; return the text of the fault if the servo has restarted.
+
+        A right answer ends the doubt: it may be sent moves again.
+        """
+        probe = self._probes[keyword]
+        if self.is_lost:
+            return None  # That is reported; its settings are sent by the recovery.
+        if value == probe.value:
+            self._end_doubt()
+            return None
+        doubt = self._doubted_now()
+        if not isinstance(value, int) or value not in (probe.original, doubt.wrong.get(keyword)):
+            doubt.proofs = 0
+            if isinstance(value, int):
+                doubt.wrong[keyword] = value
+            return None
+        doubt.proofs += 1
+        if doubt.proofs < PROOFS:
+            return None
+        self._end_doubt()
+        self.is_lost = True
+        return (
+            f"has lost its settings: servo {self.joint.servo_id} answers {value} to {keyword}, it "
+            f"was set to {probe.value}. It has restarted. Look at its power supply"
+        )
+
+    def _doubted_now(self) -> _Doubt:
+        if self.doubt is None:
+            self.doubt = _Doubt()
+            self._doubted.add(self.joint.name)
+        return self.doubt
+
+    def _end_doubt(self) -> None:
+        self.doubt = None
+        self._doubted.discard(self.joint.name)
+
+    def is_limp_again(self, status: Status, asked_ns: int) -> bool:
+        """Judge a status; return whether the servo is limp twice in a row although it has power."""
+        was_limp = self.is_limp
+        is_driven = self.powered_ns is not None and asked_ns > self.powered_ns
+        self.is_limp = is_driven and status is Status.LIMP
+        if self.is_limp:
+            self.note_sign(asked_ns)
+        return self.is_limp and was_limp

@@ -27,8 +27,7 @@ from lss_motion.playing.player.estimators import OFFSET_MAX_DEG
 from lss_motion.playing.player.handshake import Dialogue, SettingsDialogue
 from lss_motion.playing.player.health import is_turned
 from lss_motion.playing.player.joint_state import (
-    LEG_MAX_S,
-    approach_deg_s,
+    LONGEST_NS,
     make_joint_states,
     with_room,
 )
@@ -522,9 +521,9 @@ def _legs(
                     is_cut = _within_range(joint, from_deg) != from_deg
                     way_deg = abs(target_deg - before_deg[joint.name]) if is_cut else way_deg
                     targets_deg[joint.name] = before_deg[joint.name] = target_deg
-                lasts_s = max(lasts_s, way_deg / approach_deg_s(robot, joint))
+                lasts_s = max(lasts_s, way_deg / robot.approach_deg_s(joint))
             legs.append(_Leg(targets_deg, lasts_s))
-        if all(leg.lasts_s <= LEG_MAX_S for leg in legs):
+        if all(leg.lasts_s <= s_from_ns(LONGEST_NS) for leg in legs):
             return legs
     raise AssertionError("moves get shorter with their number")
 
@@ -553,7 +552,7 @@ def approach(
     end_deg = {joint.name: joint.servo_deg(start_deg[joint.name]) for joint in joints}
     legs = _legs(robot, standing_deg, end_deg)
     slowest_ramp_s = max(
-        (approach_deg_s(robot, joint) / ramp_deg_s2(joint) for joint in joints), default=0
+        (robot.approach_deg_s(joint) / ramp_deg_s2(joint) for joint in joints), default=0
     )
     longest_s = sum(leg.lasts_s for leg in legs)
     moves: list[Move] = []
@@ -603,8 +602,8 @@ def approach_s(robot: Robot, from_deg: Mapping[str, float], to_deg: Mapping[str,
     lasts_s, ramp_s = APPROACH_LEAST_S, 0.0
     for name, target_deg in to_deg.items():
         joint = robot.joints[name]
-        lasts_s = max(lasts_s, abs(target_deg - from_deg[name]) / approach_deg_s(robot, joint))
-        ramp_s = max(ramp_s, approach_deg_s(robot, joint) / ramp_deg_s2(joint))
+        lasts_s = max(lasts_s, abs(target_deg - from_deg[name]) / robot.approach_deg_s(joint))
+        ramp_s = max(ramp_s, robot.approach_deg_s(joint) / ramp_deg_s2(joint))
     return lasts_s + ramp_s
 
 

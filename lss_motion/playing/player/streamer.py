@@ -65,9 +65,9 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Move, Program
     from lss_motion.planning.program.splice import Extension
-    from lss_motion.playing.player.health import Probe
     from lss_motion.playing.player.query_choice import Pace
     from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+    from lss_motion.playing.player.servo_model import Probe
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot
 
@@ -244,7 +244,7 @@ class Streamer:
 
     def _has_doubts(self) -> bool:
         """Return whether a servo that is driven may have restarted."""
-        doubted = () if self.scheduler is None else self.scheduler.watch.doubted
+        doubted = () if self.scheduler is None else self.scheduler.doubted
         own = (self.joint_states[name] for name in doubted if name in self.joint_states)
         return any(state.is_driven for state in own)
 

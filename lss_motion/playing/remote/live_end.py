@@ -380,7 +380,7 @@ class Hands:
         (name,) = self._named((operation.joint,), hands_on)
         joint = self._robot.joints[name]
         self._found_limp.discard(name)
-        limit_deg_s = min(self._robot.approach_speed_deg_s, joint.speed_max_deg_s)
+        limit_deg_s = self._robot.approach_deg_s(joint)
         speed_deg_s = operation.speed_ratio * limit_deg_s
         jog = self._jogs.get(name)
         if jog is None and speed_deg_s:

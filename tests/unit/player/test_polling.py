@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from lss_motion.planning.trajectory.model import WaitPoint
 from lss_motion.playing.player.cues import POLL_PERIOD_NS, Waiting
-from lss_motion.playing.player.health import READ_BACK_NS, SILENT_QUERIES, Probe
+from lss_motion.playing.player.health import SILENT_QUERIES
 from lss_motion.playing.player.polling import (
     BACKLOG_BYTES,
     LATE_NS,
@@ -29,7 +29,7 @@ from lss_motion.playing.player.query_choice import (
     VISIT_NS,
 )
 from lss_motion.playing.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker, SerialLine
-from lss_motion.playing.player.servo_model import PROMPT_LEAST
+from lss_motion.playing.player.servo_model import PROMPT_LEAST, READ_BACK_NS, Probe
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
@@ -384,13 +384,13 @@ def test_settings_are_read_back_on_a_slow_line_that_targets_and_readings_fill(ki
 def test_one_restart_lets_the_others_on_its_bus_be_examined_at_once(kit):
     desk = watched(kit).run(0, S // 2)
     desk.scheduler.doubt_all(["main"])
-    assert desk.scheduler.watch.doubted == {"j0", "j1"}
+    assert desk.scheduler.doubted == {"j0", "j1"}
     assert all(state.takes_moves for state in desk.joint_states.values())
     count = len(desk.asked)
     desk.run(S // 2, S // 2 + 30 * MS)
     asked = [(one, word) for *_, one, word in desk.asked[count:]]
     assert {one for one, word in asked if word in ("QAA", "QSD")} == {1, 2}
-    assert not desk.scheduler.watch.doubted
+    assert not desk.scheduler.doubted
 
 
 def test_a_joint_in_em0_that_stands_while_its_model_moves_is_asked_for_its_settings(kit):
@@ -473,7 +473,7 @@ def test_a_limp_servo_is_held_back_until_its_settings_are_known(kit):
         if any(ns > S // 2 and word == "Q" for ns, *_, word in desk.asked):
             break
     desk.run(at_ns + MS, at_ns + 5 * MS)
-    assert desk.scheduler.watch.doubted == {"j0"}
+    assert desk.scheduler.doubted == {"j0"}
     assert not state.takes_moves, "at once"
 
 
@@ -556,10 +556,7 @@ def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
     assert desk.counts(KNOWN_NS)[1] > 300, "the other one is asked as ever"
     desk.values.clear()
     desk.run(KNOWN_NS + 1100 * MS, KNOWN_NS + 1300 * MS)
-    assert (desk.scheduler.health.active_faults, desk.scheduler.health.unresponsive()) == (
-        {},
-        set(),
-    )
+    assert (desk.scheduler.health.active_faults, desk.scheduler.health.awaited) == ({}, {})
 
 
 def test_a_silent_servo_alone_on_its_bus_is_polled_on(kit):
