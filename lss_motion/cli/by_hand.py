@@ -329,7 +329,7 @@ class JogControls(HandsControls):
 
     def _move(self, hands_on: HandsOn, name: str, step_deg: float) -> None:
         joint, here_deg = self._robot.joints[name], hands_on.readings[name].deg
-        speed_deg_s = min(self._robot.approach_speed_deg_s, joint.speed_max_deg_s)
+        speed_deg_s = self._robot.approach_deg_s(joint)
         lead_deg = max(abs(step_deg), LEAD_S * speed_deg_s)
         desired_deg = self._target_deg.get(name, here_deg) + step_deg
         desired_deg = min(max(desired_deg, here_deg - lead_deg), here_deg + lead_deg)

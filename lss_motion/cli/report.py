@@ -461,7 +461,7 @@ def _again(log: Log) -> int:
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.replay import replay
-    from lss_motion.playing.stored_limits import with_limits
+    from lss_motion.playing.discovery import with_limits
     from lss_motion.robot.load import load_robot
 
     if (played := log.played) is None:

@@ -17,10 +17,9 @@ from lss_motion.files.keys import FILE_VERSION, VERSION, Field, FileModel, Name,
 from lss_motion.files.texts import known_names
 from lss_motion.files.validation import validate
 from lss_motion.files.yaml_source import Mistake, read_yaml
-from lss_motion.playing.discovery import family_of
+from lss_motion.playing.discovery import SETTINGS, family_of, physical_limits, with_limits
 from lss_motion.playing.player.checks import expected_frame
 from lss_motion.playing.player.handshake import Item
-from lss_motion.playing.stored_limits import SETTINGS, physical_limits, with_limits
 from lss_motion.protocol.codec import Language, language_table, storable
 from lss_motion.protocol.constants import ID_MAX, Family, Led
 from lss_motion.protocol.framing import DISABLED, Command

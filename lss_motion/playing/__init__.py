@@ -9,8 +9,7 @@
 | `run.py`            | one run, of a show or of many, on open ports   | `api`, `cli`, `stage`    |
 | `live.py`           | `lss.connect`: a robot without a show          | users, `remote`          |
 | `connection.py`     | the open ports of a robot                      | `run`, `live`, `cli`     |
-| `discovery.py`      | which servos are on a bus, and their condition | `connection`, `cli`      |
-| `stored_limits.py`  | limits that a robot file leaves to its servos  | `connection`, `live`     |
+| `discovery.py`      | servos on a bus, their condition, their limits | `connection`, `cli`      |
 | `hands_on.py`       | joints moved by hand: limp, held, read         | `live`, `cli`            |
 | `runner.py`         | the loop; threads, processes and waits         | `run`, `connection`      |
 | `performer.py`      | functions and sounds of a show: the pipes      | `run`                    |

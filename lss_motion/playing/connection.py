@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from msgspec.structs import replace
 
 from lss_motion.errors import BlockedPortError, BusError, InputError, LostPortError
-from lss_motion.playing.discovery import Pause
+from lss_motion.playing.discovery import Pause, limit_questions, robot_from_answers
 from lss_motion.playing.player.checks import check_answers
 from lss_motion.playing.player.handshake import Conversation
 from lss_motion.playing.player.preflight import Examination
 from lss_motion.playing.runner import D, run
-from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.system.clock import MonotonicClock, VirtualClock
 from lss_motion.system.devices import opened_name
 from lss_motion.system.port import SerialPort
@@ -140,7 +139,7 @@ def ask_limits(robot: Robot, *, port: str | None = None) -> Robot:
     there = with_port(robot, port)
     clock = VirtualClock() if is_simulated(there) else MonotonicClock()
     with connect(there.buses, robot=there, clock=clock) as connection:
-        return robot_from_answers(robot, connection.ask(questions(robot)))
+        return robot_from_answers(robot, connection.ask(limit_questions(robot)))
 
 
 class Connection:

@@ -283,7 +283,8 @@ class Poller:
             is_status_due, turn = False, guards
         for _ in range(len(turn)):
             joint, keyword = turn[0]
-            self._notice_silence(joint, now_ns)
+            if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
+                self._report(joint, "does not answer", Cause.SILENT)
             if tracker.quiet_until_ns(joint.servo_id) <= now_ns:
                 break
             turn.rotate(-1)
@@ -313,10 +314,6 @@ class Poller:
             if own_bus == bus and hand.move and hand.left
             if tracker.quiet_until_ns(servo_id) <= now_ns and not tracker.is_waiting(servo_id)
         )
-
-    def _notice_silence(self, joint: Joint, now_ns: int) -> None:
-        if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
-            self._report(joint, "does not answer", Cause.SILENT)
 
     def _notice_status(self, hand: _Hand, reply: Reply, asked_ns: int) -> None:
         joint = hand.joint
@@ -606,12 +603,8 @@ class HandsOn:
         if preflight.unproved:
             self._prove()
             return
-        orders = handshake.session_orders(self._away, self._answers)
-        unconfirmed = handshake.unconfirmed_orders(self._away, self._answers)
-        positions = handshake.position_queries(self._away)
-        self._dialogue = SettingsDialogue(
-            orders, positions, unconfirmed, self.lines, self._trackers
-        )
+        servos = self.lines, self._trackers
+        self._dialogue = SettingsDialogue.of(self._away, self._answers, *servos)
 
     def _set_again(self, dialogue: SettingsDialogue, now_ns: int) -> None:
         standing_deg = handshake.standing_deg(self._away, dialogue.answers)

@@ -22,12 +22,12 @@ from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.files.texts import known_names
 from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
+from lss_motion.playing.discovery import limit_questions, robot_from_answers
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.player.health import turn_text
 from lss_motion.playing.player.player import Player
 from lss_motion.playing.player.repertoire import Repertoire
-from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.model import HALF_TURN_DEG, Robot
@@ -75,7 +75,7 @@ class Live:
         self._connection.__enter__()
         try:
             if robot.unread:
-                robot = robot_from_answers(robot, self._connection.ask(questions(robot)))
+                robot = robot_from_answers(robot, self._connection.ask(limit_questions(robot)))
             _, self.warnings = self._connection.examined(robot.joints.values(), robot)
         except BaseException:
             self._leave()

@@ -174,7 +174,12 @@ def perform(  # noqa: PLR0913  (the options of one run)
         is_forced=is_forced,
     )
     kept, desk = _Kept(player, connection.simulated if simulated else None, trajectory), None
-    note = Noting(observer.on_event, kept.note)
+
+    def note(event: Event) -> None:
+        kept.note(event)
+        if observer.on_event is not None:
+            observer.on_event(event)
+
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
@@ -239,7 +244,7 @@ def drive(
 @contextlib.contextmanager
 def effects(
     player: Player,
-    note: Noting,
+    note: Callable[[Event], None],
     choice: SoundChoice,
     modules: Sequence[ModuleSource] | None = None,
     *,
@@ -351,21 +356,6 @@ class _Kept:
             report = ledger.report(player, outcome=outcome, **common)
         buses = self._simulated or {}
         return Result(report=report, player=player, truth=truth, error=why, simulated=buses)
-
-
-class Noting:
-    """Passes events to a watcher, if there is one, and to what keeps the report's part of them."""
-
-    def __init__(
-        self, on_event: Callable[[Event], None] | None, keep: Callable[[Event], None]
-    ) -> None:
-        self._on_event = on_event
-        self._keep = keep
-
-    def __call__(self, event: Event) -> None:
-        self._keep(event)
-        if self._on_event is not None:
-            self._on_event(event)
 
 
 def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[str, ReopeningPort]:

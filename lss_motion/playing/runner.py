@@ -198,7 +198,7 @@ class _Incoming:
         tap: Tap | None,
     ) -> None:
         self._driven = driven
-        self._patient = _patient(driven)
+        self._patient = driven if isinstance(driven, Patient) else None
         self._ports = [*ports.items()]
         self._clock = clock
         self._is_virtual = clock.is_virtual
@@ -241,10 +241,6 @@ class _Incoming:
                 self._driven.receive_data(bus, data, now_ns)
                 if self._tap is not None:
                     self._tap.received(bus, data, now_ns)
-
-
-def _patient(driven: object) -> Patient | None:
-    return driven if isinstance(driven, Patient) else None
 
 
 def _write(driven: Driven, ports: Mapping[str, Port], leaves_ns: int, tap: Tap | None) -> bool:

@@ -25,7 +25,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     show_clock      show time, the moves due on it, how late they are   streamer, cues, report
     following       keeps a show in step with a leader                  sync, remote
     rate_ramps      moves computed at run time: other rates, off plan   streamer
-    servo_model     moves and settings that a servo has; its filter     joint_state, hands_on, identify
+    servo_model     moves and settings that a servo has; its filter     joint_state, hands_on
     joint_state     one joint: sent moves, model, readings              streamer, polling
     estimators      load, play, lag, lost moves of a joint              joint_state
     standing        corrections of a joint at rest                      joint_state

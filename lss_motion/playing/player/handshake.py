@@ -296,6 +296,21 @@ class SettingsDialogue:
         self._rounds = 0
         self._dialogue = self._round()
 
+    @classmethod
+    def of(
+        cls,
+        joints: Sequence[Joint],
+        answers: Answers,
+        lines: Mapping[str, SerialLine],
+        trackers: Mapping[str, QueryTracker],
+    ) -> SettingsDialogue:
+        """Return the dialogue that gives servos the settings for a show, and asks where they are.
+
+        `answers` are those before anything was changed.
+        """
+        orders, unconfirmed = session_orders(joints, answers), unconfirmed_orders(joints, answers)
+        return cls(orders, position_queries(joints), unconfirmed, lines, trackers)
+
     @property
     def is_finished(self) -> bool:
         return self._dialogue.is_finished and not self._must_repeat()

@@ -1,9 +1,6 @@
 """Plays the programs of a repertoire, from the first query to the last byte; no port, no clock.
 
-    data_to_send(leaves_ns)          returns the bytes that must be written now, per bus
-    receive_data(bus, data, now_ns)  takes the bytes that came from a bus
-    next_wakeup_ns()                 returns when `data_to_send` must be called at the latest
-    next_event()                     returns what happened, oldest first; None: there is no more
+The calls of the loop are those of `playing.runner.Driven`.
 
 The run of one show ends with it. In a run of many the servos are checked and set up once, and stay
 so; between two shows a program without moves holds all joints, and the servos are polled, corrected

@@ -201,10 +201,7 @@ class Session:
 
     def settings_dialogue(self) -> SettingsDialogue:
         """Return the dialogue that gives the servos their settings and polls their positions."""
-        orders = handshake.session_orders(self.driven, self.original)
-        unconfirmed = handshake.unconfirmed_orders(self.driven, self.original)
-        positions = handshake.position_queries(self.driven)
-        return SettingsDialogue(orders, positions, unconfirmed, self.lines, self.trackers)
+        return SettingsDialogue.of(self.driven, self.original, self.lines, self.trackers)
 
     def arrival_dialogue(self) -> Dialogue:
         """Return the queries after an approach: positions, and whether a servo has restarted."""

@@ -9,8 +9,8 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance.settings import ServoBackup, robot_from_backup
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.connection import ask_limits, connect
+from lss_motion.playing.discovery import limit_questions, robot_from_answers
 from lss_motion.playing.player.handshake import Item
-from lss_motion.playing.stored_limits import questions, robot_from_answers
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot
 from lss_motion.show.model import Keyframe, Sequence
@@ -48,7 +48,7 @@ def asked(robot):
         with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
             connection.ask(Item(bus="main", command=Command(*setting)) for setting in settings)
             connection.wait(0.02)
-            return robot_from_answers(robot, connection.ask(questions(robot)))
+            return robot_from_answers(robot, connection.ask(limit_questions(robot)))
 
     return ask
 
