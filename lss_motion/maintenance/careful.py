@@ -431,8 +431,7 @@ class CarefulRun(JointRun):
             then.append(Item(bus=joint.bus, command=query, tries=WITNESS_TRIES))
         probes = handshake.probes([joint], self._answers, known)
         self._probes = probes.get(joint.name, [])
-        lines, trackers = {joint.bus: self._line}, {joint.bus: self._poller.tracker}
-        return SettingsDialogue(known, then, unknown, lines, trackers)
+        return SettingsDialogue(known, then, unknown, {joint.bus: self._poller.tracker})
 
     def _prepared(self, now_ns: int) -> None:
         """Hold before the first leg; begin the others."""

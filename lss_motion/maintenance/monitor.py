@@ -217,7 +217,7 @@ class _BusRounds:
             if self.suspended.get(servo_id, 0) <= now_ns
             for keyword in _keywords(servo, self.rounds)
         ]
-        self.dialogue = Dialogue(items, {self.name: self.line}, {self.name: self.tracker})
+        self.dialogue = Dialogue(items, {self.name: self.tracker})
 
     def end(self, now_ns: int) -> list[ServoState]:
         """Take the answers of the round that ends; return the servos that answered."""
@@ -257,8 +257,8 @@ class Watch:
             line = SerialLine(buses[name])
             tracker = QueryTracker(line)
             on_bus = [servo for servo in self.readings if servo.target.bus == name]
-            dialogue = Dialogue([], {name: line}, {name: tracker})
-            watch = UnaskedWatch(line, tracker)
+            dialogue = Dialogue([], {name: tracker})
+            watch = UnaskedWatch(tracker)
             self._buses[name] = _BusRounds(name, on_bus, line, tracker, dialogue, watch)
 
     @property

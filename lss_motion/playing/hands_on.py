@@ -107,7 +107,6 @@ class Poller:
         self,
         robot: Robot,
         joints: Iterable[Joint],
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
         *,
         has_health: bool = False,
@@ -115,7 +114,7 @@ class Poller:
         self.readings: dict[str, Reading] = {}
         self.faults: deque[Faulted] = deque()
         self._robot = robot
-        self._lines = lines
+        self._lines = lines = {bus: tracker.line for bus, tracker in trackers.items()}
         self._trackers = trackers
         self._fresh: list[Reading] = []
         self._hands = {(j.bus, j.servo_id): _Hand(ServoSettings(j)) for j in joints}
@@ -386,11 +385,11 @@ class HandsOn:
         self._is_soft = is_soft
         self._held_deg: dict[str, float] = {}
         self._trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._poller = Poller(robot, self.joints, self.lines, self._trackers, has_health=has_health)
+        self._poller = Poller(robot, self.joints, self._trackers, has_health=has_health)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
         self._needs_frame = needs_frame
-        self._before = Preflight(self.joints, robot, self.lines, self._trackers)
+        self._before = Preflight(self.joints, robot, self._trackers)
         self._dialogue: Dialogue | Preflight | SettingsDialogue | None = self._before
         self._away: list[Joint] = []
         """Joints whose servos have restarted, and do not have their settings again."""
@@ -587,7 +586,6 @@ class HandsOn:
         self._dialogue = Preflight(
             self._away,
             self.robot,
-            self.lines,
             self._trackers,
             before=self._before,
             suspects=suspects,
@@ -603,8 +601,7 @@ class HandsOn:
         if preflight.unproved:
             self._prove()
             return
-        servos = self.lines, self._trackers
-        self._dialogue = SettingsDialogue.of(self._away, self._answers, *servos)
+        self._dialogue = SettingsDialogue.of(self._away, self._answers, self._trackers)
 
     def _set_again(self, dialogue: SettingsDialogue, now_ns: int) -> None:
         standing_deg = handshake.standing_deg(self._away, dialogue.answers)
@@ -642,7 +639,7 @@ class HandsOn:
         self._events.append(PhaseEntered(phase))
 
     def _ask(self, items: Iterable[Item]) -> Dialogue:
-        return Dialogue(items, self.lines, self._trackers)
+        return Dialogue(items, self._trackers)
 
     def _ready(self, joints: Iterable[str]) -> list[Joint]:
         if self.phase is not Phase.SHOW:

@@ -351,8 +351,7 @@ class JointRun(ABC):
         return encode(Command(servo_id, "H"))
 
     def _ask(self, items: Sequence[Item]) -> Dialogue:
-        bus = self.joint.bus
-        return Dialogue(items, {bus: self._line}, {bus: self._poller.tracker})
+        return Dialogue(items, {self.joint.bus: self._poller.tracker})
 
 
 class PolledReading(Struct, frozen=True):

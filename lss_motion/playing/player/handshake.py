@@ -120,14 +120,12 @@ class Dialogue:
     def __init__(
         self,
         items: Iterable[Item],
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
     ) -> None:
         self.answers: dict[tuple[str, int, str], int | str | None] = {}
-        self._lines = lines
         self._trackers = trackers
-        self._queues: dict[str, deque[_Entry]] = {bus: deque() for bus in lines}
-        self._in_flight: dict[str, list[_Entry]] = {bus: [] for bus in lines}
+        self._queues: dict[str, deque[_Entry]] = {bus: deque() for bus in trackers}
+        self._in_flight: dict[str, list[_Entry]] = {bus: [] for bus in trackers}
         self._answering: set[tuple[str, int]] = set()
         for item in items:
             self._queues[item.bus].append(_Entry(item, item.tries))
@@ -149,7 +147,7 @@ class Dialogue:
                     entry.tries_left -= 1
                     self._in_flight[bus].append(entry)
                 else:
-                    self._lines[bus].send(encode(entry.item.command), now_ns)
+                    self._trackers[bus].line.send(encode(entry.item.command), now_ns)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
         for query, answer in self._trackers[bus].receive(reply, now_ns):
@@ -169,12 +167,14 @@ class Dialogue:
             if (give_up_ns := tracker.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)
             if queue and (earliest_ns := self._earliest_ns(bus, queue[0].item)) is not None:
-                wakeups_ns.append(max(self._lines[bus].free_ns, earliest_ns))
+                wakeups_ns.append(max(self._trackers[bus].line.free_ns, earliest_ns))
         return min(wakeups_ns, default=None)
 
     def _can_send(self, bus: str, item: Item, now_ns: int) -> bool:
         earliest_ns = self._earliest_ns(bus, item)
-        return earliest_ns is not None and max(self._lines[bus].free_ns, earliest_ns) <= now_ns
+        return (
+            earliest_ns is not None and max(self._trackers[bus].line.free_ns, earliest_ns) <= now_ns
+        )
 
     def _earliest_ns(self, bus: str, item: Item) -> int | None:
         """Return when `item` may leave; None: a query must be answered first."""
@@ -239,7 +239,7 @@ class Conversation:
     def __init__(self, items: Iterable[Item], buses: Mapping[str, Bus]) -> None:
         self.lines = {name: SerialLine(bus) for name, bus in buses.items()}
         self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._dialogue: Transactions = Dialogue(items, self.lines, self.trackers)
+        self._dialogue: Transactions = Dialogue(items, self.trackers)
 
     @property
     def answers(self) -> Mapping[tuple[str, int, str], int | str | None]:
@@ -284,14 +284,12 @@ class SettingsDialogue:
         orders: Sequence[Item],
         then: Iterable[Item],
         unconfirmed: Sequence[Item],
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
     ) -> None:
         self.wrong = list(orders)
         self.answers: dict[tuple[str, int, str], int | str | None] = {}
         self._then = list(then)
         self._unconfirmed = list(unconfirmed)
-        self._lines = lines
         self._trackers = trackers
         self._rounds = 0
         self._dialogue = self._round()
@@ -301,7 +299,6 @@ class SettingsDialogue:
         cls,
         joints: Sequence[Joint],
         answers: Answers,
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
     ) -> SettingsDialogue:
         """Return the dialogue that gives servos the settings for a show, and asks where they are.
@@ -309,7 +306,7 @@ class SettingsDialogue:
         `answers` are those before anything was changed.
         """
         orders, unconfirmed = session_orders(joints, answers), unconfirmed_orders(joints, answers)
-        return cls(orders, position_queries(joints), unconfirmed, lines, trackers)
+        return cls(orders, position_queries(joints), unconfirmed, trackers)
 
     @property
     def is_finished(self) -> bool:
@@ -344,7 +341,7 @@ class SettingsDialogue:
             replace(item, tries=UNCONFIRMED_TRIES) for item in read_back(self._unconfirmed)
         ]
         items = [*self.wrong, *self._unconfirmed, *read_back(self.wrong), *unconfirmed, *self._then]
-        return Dialogue(items, self._lines, self._trackers)
+        return Dialogue(items, self._trackers)
 
 
 STALE_NS: Final = NS_PER_S

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.cues import Waiting
     from lss_motion.playing.player.joint_state import JointState
-    from lss_motion.playing.player.query_tracker import PendingQuery, QueryTracker, SerialLine
+    from lss_motion.playing.player.query_tracker import PendingQuery, QueryTracker
     from lss_motion.playing.player.servo_model import Probe
 
 
@@ -84,7 +84,6 @@ class PollScheduler:
         self,
         joint_states: Mapping[str, JointState],
         trackers: Mapping[str, QueryTracker],
-        lines: Mapping[str, SerialLine],
         waiting: Waiting,
         probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
         pace: Pace | None = BY_NEED,
@@ -104,22 +103,22 @@ class PollScheduler:
             fresh = ServoSettings(state.joint, probes.get(name, ()), self.doubted)
             state.settings = self.settings.setdefault(name, fresh)
         self.health: HealthMonitor = HealthMonitor() if known is None else known.health
-        self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
+        self.rejected: dict[str, int] = dict.fromkeys(trackers, 0)
         self.to_resend: dict[str, JointState] = {}
         """Joints whose servo has lost a move; the caller that sends it again removes them."""
         self._trackers = trackers
-        self._lines = lines
-        self._by_bus: dict[str, list[JointState]] = {bus: [] for bus in lines}
+        self._lines = {bus: tracker.line for bus, tracker in trackers.items()}
+        self._by_bus: dict[str, list[JointState]] = {bus: [] for bus in trackers}
         for state in joint_states.values():
             if state.joint.drive != "stepped":  # It answers with its last command only.
                 self._by_bus[state.joint.bus].append(state)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in joint_states.values()}
-        polled = Polled(self._by_bus, trackers, lines, self.doubted, self.health)
+        polled = Polled(self._by_bus, trackers, self.doubted, self.health)
         self._choice = FullLine(polled) if pace is None else ByNeed(polled, pace)
-        self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
+        self._next_ns: dict[str, int | None] = dict.fromkeys(trackers)
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
-        self._silences = {bus: Silence() for bus in lines}
+        self._silences = {bus: Silence() for bus in trackers}
         self.watched = SensorWatch(())
         """Sensors that are polled although no show waits for them."""
 
@@ -131,7 +130,7 @@ class PollScheduler:
         known = None if joint_states is None else self
         if joint_states is None:
             joint_states = {state.joint.name: state for state in self._by_address.values()}
-        own = self._trackers, self._lines, self._waiting, self._probes, self._pace
+        own = self._trackers, self._waiting, self._probes, self._pace
         scheduler = PollScheduler(joint_states, *own, known=known)
         scheduler.rejected, scheduler.watched = self.rejected, self.watched
         return scheduler

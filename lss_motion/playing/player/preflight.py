@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.checks import Refusal
     from lss_motion.playing.player.handshake import Answers
-    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.on_fault import Escalations
@@ -91,15 +91,13 @@ class TwinSearch:
     def __init__(
         self,
         joints: Iterable[Joint],
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
     ) -> None:
         self.shared: dict[tuple[str, int], tuple[str, ...]] = {}
         self.damaged: set[tuple[str, int]] = set()
         """Bus and id of servos that sent damaged bytes, and no undamaged answer."""
-        self._lines = lines
         self._trackers = trackers
-        self._queues: dict[str, deque[Joint]] = {bus: deque() for bus in lines}
+        self._queues: dict[str, deque[Joint]] = {bus: deque() for bus in trackers}
         self._windows: dict[str, _Window] = {}
         self._samples: dict[tuple[str, int], list[_Sample]] = {}
         for joint in joints:
@@ -116,7 +114,7 @@ class TwinSearch:
                 del self._windows[bus]
                 self._close(window)
                 window = None
-            if window is None and queue and self._lines[bus].free_ns <= now_ns:
+            if window is None and queue and self._trackers[bus].line.free_ns <= now_ns:
                 self._ask(queue[0], now_ns)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:  # noqa: ARG002
@@ -129,14 +127,15 @@ class TwinSearch:
     def next_wakeup_ns(self) -> int | None:
         wakeups_ns = [window.until_ns for window in self._windows.values()]
         wakeups_ns += [
-            self._lines[bus].free_ns
+            self._trackers[bus].line.free_ns
             for bus, queue in self._queues.items()
             if queue and bus not in self._windows
         ]
         return min(wakeups_ns, default=None)
 
     def _ask(self, joint: Joint, now_ns: int) -> None:
-        line, latency = self._lines[joint.bus], self._trackers[joint.bus].latency(joint.servo_id)
+        tracker = self._trackers[joint.bus]
+        line, latency = tracker.line, tracker.latency(joint.servo_id)
         arrival_ns = line.send(encode(Command(joint.servo_id, _keyword(joint))), now_ns)
         wait_ns = latency.latest_ns if latency.is_known else REPLY_TIMEOUT_NS
         until_ns = arrival_ns + wait_ns + TWIN_SPREAD_NS + line.time_ns(2 * REPLY_MAX_BYTES)
@@ -146,7 +145,7 @@ class TwinSearch:
         """Keep what came after a query; go on with the next servo when this one is clear."""
         joint, sample = window.joint, window.sample
         address = (joint.bus, joint.servo_id)
-        line = self._lines[joint.bus]
+        line = self._trackers[joint.bus].line
         sample.is_damaged = line.garbage > window.garbage or line.has_unfinished
         samples = self._samples.setdefault(address, [])
         samples.append(sample)
@@ -206,7 +205,6 @@ class Preflight:
         self,
         joints: Iterable[Joint],
         robot: Robot,
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
         *,
         more: Sequence[Item] = (),
@@ -222,13 +220,12 @@ class Preflight:
         self.twins: TwinSearch | None = None
         self._joints = list(joints)
         self._robot = robot
-        self._lines = lines
         self._trackers = trackers
         self._reads_stored = reads_stored or (before is not None and bool(before.stored))
         self._show = show
         self._before = before
         self._suspects = suspects
-        self._calm = {bus: self._disturbances(bus) for bus in lines}
+        self._calm = {bus: self._disturbances(bus) for bus in trackers}
         if before is None:
             items = [*checks.queries(self._joints, led_joints), *more]
         else:
@@ -309,7 +306,7 @@ class Preflight:
     def _all_rounds(self, items: Sequence[Item]) -> Iterator[Dialogue | TwinSearch]:
         """Yield one dialogue after the other; each is finished when the next is asked for."""
         if self._suspects:
-            self.twins = TwinSearch(self._suspects, self._lines, self._trackers)
+            self.twins = TwinSearch(self._suspects, self._trackers)
             yield self.twins
             if self.twins.shared:
                 return
@@ -318,7 +315,7 @@ class Preflight:
         self.answers |= first.answers
         disturbed = [j for j in self._joints if self._disturbances(j.bus) > self._calm[j.bus]]
         if disturbed:
-            self.twins = TwinSearch(disturbed, self._lines, self._trackers)
+            self.twins = TwinSearch(disturbed, self._trackers)
             yield self.twins
         if self.twins is not None and self.twins.shared:
             return
@@ -342,11 +339,11 @@ class Preflight:
             self.stored |= again.answers
 
     def _dialogue(self, items: Iterable[Item]) -> Dialogue:
-        return Dialogue(items, self._lines, self._trackers)
+        return Dialogue(items, self._trackers)
 
     def _disturbances(self, bus: str) -> int:
         """Return how many bytes or replies came that belong to no query."""
-        return self._lines[bus].garbage + self._trackers[bus].strays
+        return self._trackers[bus].line.garbage + self._trackers[bus].strays
 
     def _refusals(self) -> list[Refusal]:
         if self._before is not None:
@@ -456,7 +453,5 @@ class Examination(Conversation):
         self, joints: Iterable[Joint], robot: Robot, *, reads_stored: bool = False
     ) -> None:
         super().__init__((), robot.buses)
-        self.preflight = Preflight(
-            joints, robot, self.lines, self.trackers, reads_stored=reads_stored
-        )
+        self.preflight = Preflight(joints, robot, self.trackers, reads_stored=reads_stored)
         self._dialogue = self.preflight

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.player.health import HealthMonitor
     from lss_motion.playing.player.joint_state import JointState
-    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker
 
 
 PLACE_KEYWORD: Final = "QD"
@@ -127,7 +127,6 @@ class Polled(Struct, frozen=True):
 
     by_bus: Mapping[str, Sequence[JointState]]
     trackers: Mapping[str, QueryTracker]
-    lines: Mapping[str, SerialLine]
     doubted: Collection[str]
     """The joints whose settings are in doubt."""
     health: HealthMonitor
@@ -139,7 +138,7 @@ class QueryChoice(ABC):
     def __init__(self, polled: Polled) -> None:
         self._by_bus = polled.by_bus
         self._trackers = polled.trackers
-        self._lines = polled.lines
+        self._lines = {bus: tracker.line for bus, tracker in polled.trackers.items()}
         self._doubted = polled.doubted
         self._health = polled.health
         self._health_wait: dict[str, int] = dict.fromkeys(polled.by_bus, 0)

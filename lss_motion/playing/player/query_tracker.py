@@ -284,7 +284,7 @@ class QueryTracker:
     """Sends queries on one line and decides which answers are accepted."""
 
     def __init__(self, line: SerialLine) -> None:
-        self._line = line
+        self.line = line
         self.starves_ns = STARVED_NS
         """After this instant no query was sent for too long."""
         self.query_count = 0
@@ -420,7 +420,7 @@ class QueryTracker:
                 return None
             own_ns = flight.end_ns - link.latency.earliest_ns
             arrival_ns = own_ns if own_ns > arrival_ns else arrival_ns
-        leaves_ns = arrival_ns - self._line.times_ns[size_bytes]
+        leaves_ns = arrival_ns - self.line.times_ns[size_bytes]
         return leaves_ns if leaves_ns > quiet_until_ns else quiet_until_ns
 
     def not_before_ns(self) -> int:
@@ -429,7 +429,7 @@ class QueryTracker:
             return 0
         if self._quickest_ns is None:
             self._quickest_ns = max([link.latency.earliest_ns for link in self._links.values()])
-        return self._last_end_ns - self._quickest_ns - self._line.times_ns[QUERY_MAX_BYTES]
+        return self._last_end_ns - self._quickest_ns - self.line.times_ns[QUERY_MAX_BYTES]
 
     def send(self, command: Command, now_ns: int, *, is_patient: bool = False) -> None:
         """Send a query; `earliest_ns` returns when that is allowed.
@@ -438,12 +438,12 @@ class QueryTracker:
         """
         servo_id, keyword = command.servo_id, command.keyword
         link = self._links[servo_id]
-        arrival_ns = self._line.send(encode_query(command), now_ns)
+        arrival_ns = self.line.send(encode_query(command), now_ns)
         if servo_id not in self._flights:
             link.flights += 1
             is_prompt = link.flights % PROMPT_EVERY == 0 or not link.latency.is_well_known
             self._flights[servo_id] = _Flight(
-                garbage=self._line.garbage, is_patient=is_patient and not is_prompt
+                garbage=self.line.garbage, is_patient=is_patient and not is_prompt
             )
         flight = self._flights[servo_id]
         reply_bytes = link.reply_bytes.get(keyword, REPLY_MAX_BYTES)
@@ -471,7 +471,7 @@ class QueryTracker:
         is_timed = flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]
         # After `give_up_ns` this program was held up: that is no latency of the servo.
         if is_timed and now_ns < flight.give_up_ns and not flight.is_patient:
-            began_ns = now_ns - self._line.times_ns[size_bytes]
+            began_ns = now_ns - self.line.times_ns[size_bytes]
             link.latency.take(began_ns - query.arrival_ns)
             self._quickest_ns = None
         while (skipped := flight.waiting.popleft()) is not query:
@@ -520,7 +520,7 @@ class QueryTracker:
         latency = link.latency
         if not latency.is_known:
             return 1
-        shortest_ns = self._line.times_ns[link.least_bytes]
+        shortest_ns = self.line.times_ns[link.least_bytes]
         return min(WINDOW_MAX, 3 + latency.latest_ns // shortest_ns)
 
     def _query_for(self, reply: Reply, now_ns: int) -> tuple[int, PendingQuery | None]:
@@ -575,7 +575,7 @@ class QueryTracker:
             return [newest]
         del self._flights[servo_id]
         accepted = flight.held
-        if flight.is_doubtful or flight.garbage != self._line.garbage:
+        if flight.is_doubtful or flight.garbage != self.line.garbage:
             self._links[servo_id].fail()
             self._quickest_ns = None
             accepted = [pair for pair in accepted if flight.counts[pair[1].keyword] == 1]
@@ -590,7 +590,7 @@ class QueryTracker:
         latest_ns = latency.latest_ns
         if flight.is_patient:
             latest_ns += latency.spread_ns // PATIENT_SPREAD
-        end_ns, times_ns = flight.arrived_ns, self._line.times_ns
+        end_ns, times_ns = flight.arrived_ns, self.line.times_ns
         for query in flight.waiting:
             begins_ns = query.arrival_ns + latest_ns
             end_ns = (begins_ns if begins_ns > end_ns else end_ns) + times_ns[query.reply_bytes]

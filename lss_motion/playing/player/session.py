@@ -102,7 +102,7 @@ class Session:
         self.joints = [robot.joints[name] for name in program.start_deg]
         self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
         self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self.unasked = UnaskedWatches(self.lines, self.trackers)
+        self.unasked = UnaskedWatches(self.trackers)
         self.led_joints = {name for cue in program.cues for name, _ in cue.led}
         """Joints whose LED colour is changed, also by later programs."""
         self.has_feedback = has_feedback
@@ -162,7 +162,7 @@ class Session:
     # ---- dialogues
 
     def dialogue(self, items: Iterable[Item]) -> Dialogue:
-        return Dialogue(items, self.lines, self.trackers)
+        return Dialogue(items, self.trackers)
 
     def preflight(self, program: Program) -> Preflight:
         """Return the dialogue before anything is changed: servos, settings, sensors.
@@ -174,7 +174,6 @@ class Session:
         return Preflight(
             self.joints,
             self.robot,
-            self.lines,
             self.trackers,
             more=checks.sensor_queries(program, self.robot),
             led_joints=self.led_joints,
@@ -192,7 +191,6 @@ class Session:
         return Preflight(
             joints,
             self.robot,
-            self.lines,
             self.trackers,
             before=self._before,
             answers=answers,
@@ -201,7 +199,7 @@ class Session:
 
     def settings_dialogue(self) -> SettingsDialogue:
         """Return the dialogue that gives the servos their settings and polls their positions."""
-        return SettingsDialogue.of(self.driven, self.original, self.lines, self.trackers)
+        return SettingsDialogue.of(self.driven, self.original, self.trackers)
 
     def arrival_dialogue(self) -> Dialogue:
         """Return the queries after an approach: positions, and whether a servo has restarted."""
@@ -432,7 +430,6 @@ class Session:
         streamer = Streamer(
             program,
             self.robot,
-            lines=self.lines,
             trackers=self.trackers,
             standing_deg=standing_deg,
             has_feedback=self.has_feedback,

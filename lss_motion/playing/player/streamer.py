@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.model import Move, Program
     from lss_motion.planning.program.splice import Extension
     from lss_motion.playing.player.query_choice import Pace
-    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker
     from lss_motion.playing.player.servo_model import Probe
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot
@@ -108,7 +108,6 @@ class Streamer:
         program: Program,
         robot: Robot,
         *,
-        lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
         standing_deg: Mapping[str, float],
         has_feedback: bool,
@@ -127,7 +126,7 @@ class Streamer:
         self.is_open = False
         """While its owner keeps it open, the show does not end with the program: it is extended."""
         self._program = program
-        self._lines = lines
+        self._lines = lines = {bus: tracker.line for bus, tracker in trackers.items()}
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
         begin_s = min(0.0, first_s) if start_s is None else start_s
         self.begin_s = begin_s
@@ -158,7 +157,7 @@ class Streamer:
         sensor began or ended."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
         self._beside = tuple(beside)
-        scheduler = PollScheduler(self.all_states(), trackers, lines, self.waiting, probes, pace)
+        scheduler = PollScheduler(self.all_states(), trackers, self.waiting, probes, pace)
         self.scheduler = scheduler if has_feedback and is_polling else None
         if start_s is not None:
             self._begin_at(start_ns)

@@ -18,7 +18,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+    from lss_motion.playing.player.query_tracker import QueryTracker
 
 
 LOOK_NS: Final = 250 * NS_PER_MS
@@ -36,12 +36,12 @@ OVER_NS: Final = 5 * NS_PER_S
 class UnaskedWatch:
     """Counts what arrives on one bus beyond the queries of this program, from the first call on."""
 
-    def __init__(self, line: SerialLine, tracker: QueryTracker) -> None:
+    def __init__(self, tracker: QueryTracker) -> None:
         self.is_disturbed = False
         """Whether more arrives than was asked for."""
         self.total = 0
         """Arrivals beyond the queries, in all the times that it was disturbed."""
-        self._line = line
+        self._line = tracker.line
         self._tracker = tracker
         self._seen: tuple[int, int, int] | None = None
         self._look_ns = self._last_ns = 0
@@ -103,10 +103,8 @@ class UnaskedWatch:
 class UnaskedWatches:
     """The `UnaskedWatch` of each bus."""
 
-    def __init__(
-        self, lines: Mapping[str, SerialLine], trackers: Mapping[str, QueryTracker]
-    ) -> None:
-        self._watches = {name: UnaskedWatch(line, trackers[name]) for name, line in lines.items()}
+    def __init__(self, trackers: Mapping[str, QueryTracker]) -> None:
+        self._watches = {name: UnaskedWatch(tracker) for name, tracker in trackers.items()}
         self.look_ns: float = math.inf
         """When `advance` must be called next."""
 

@@ -17,7 +17,7 @@ def test_a_move_takes_the_place_of_one_that_waits():
         name="head", path=None, buses={"main": BUS}, joints={one.name: one for one in joints}
     )
     line = SerialLine(BUS)
-    poller = Poller(robot, joints, {"main": line}, {"main": QueryTracker(line)})
+    poller = Poller(robot, joints, {"main": QueryTracker(line)})
     for one in joints:
         poller.note(one, 0, 0.0)
     for tenths in (10, 20, 30):

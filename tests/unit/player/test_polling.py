@@ -68,10 +68,8 @@ class PollingDesk:
         self.line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
         self.tracker = QueryTracker(self.line)
         self.waiting = waiting or Waiting([], {}, 0.0)
-        lines, trackers = {"main": self.line}, {"main": self.tracker}
-        self.scheduler = PollScheduler(
-            self.joint_states, trackers, lines, self.waiting, probes, pace
-        )
+        trackers = {"main": self.tracker}
+        self.scheduler = PollScheduler(self.joint_states, trackers, self.waiting, probes, pace)
         self.asked = []
         """`(handed over ns, arrival ns, servo id, keyword)`."""
         self.values = {}
@@ -262,7 +260,7 @@ def test_one_bus_without_queries_is_starved_if_it_has_servos_to_poll(kit):
     for state, bus, drive in zip(joint_states.values(), buses, drives, strict=True):
         state.joint = replace(state.joint, bus=bus, drive=drive)
     trackers = {name: QueryTracker(line) for name, line in lines.items()}
-    scheduler = PollScheduler(joint_states, trackers, lines, Waiting([], {}, 0.0))
+    scheduler = PollScheduler(joint_states, trackers, Waiting([], {}, 0.0))
     for name, is_starved in (("left", True), ("right", False)):
         trackers[name].send(Command(1, "QD"), S)
         assert scheduler.is_starved(S + 1) == is_starved

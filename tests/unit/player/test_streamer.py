@@ -83,7 +83,6 @@ class StreamedShow:
         self.streamer = Streamer(
             self.program,
             self.robot,
-            lines={"main": self.line},
             trackers={"main": QueryTracker(self.line)},
             standing_deg=standing_deg,
             has_feedback=has_feedback,

@@ -23,7 +23,7 @@ class TransactionBench:
     def __init__(self, items, replies, kit, buses=("main",)):
         self.lines = {bus: SerialLine(kit.bus) for bus in buses}
         self.trackers = {bus: QueryTracker(line) for bus, line in self.lines.items()}
-        self.dialogue = Dialogue(items, self.lines, self.trackers)
+        self.dialogue = Dialogue(items, self.trackers)
         self.sent = []
         self._replies = replies
         self._coming = []
