@@ -457,11 +457,11 @@ def _replay(arguments: argparse.Namespace) -> int:
 def _again(log: Log) -> int:
     from lss_motion.planning import shows
     from lss_motion.playing.connection import with_port
+    from lss_motion.playing.discovery import with_limits
     from lss_motion.playing.log import SentLine
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.repertoire import Repertoire
     from lss_motion.playing.replay import replay
-    from lss_motion.playing.discovery import with_limits
     from lss_motion.robot.load import load_robot
 
     if (played := log.played) is None:
