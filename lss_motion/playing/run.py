@@ -173,17 +173,14 @@ def perform(  # noqa: PLR0913  (the options of one run)
         is_open=is_open,
         is_forced=is_forced,
     )
-    kept, desk = _Kept(player, connection.simulated if simulated else None, trajectory), None
-
-    def note(event: Event) -> None:
-        kept.note(event)
-        if observer.on_event is not None:
-            observer.on_event(event)
-
+    buses, desk = connection.simulated if simulated else None, None
+    kept = _Kept(player, buses, trajectory, observer.on_event)
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
-            effects(player, note, sound or SoundChoice(), modules, is_virtual=is_virtual) as begun,
+            effects(
+                player, kept.note, sound or SoundChoice(), modules, is_virtual=is_virtual
+            ) as begun,
         ):
             on_event, desk = begun
             for text in refused:
@@ -199,7 +196,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
         error = close(connection, error)
     player.end_show(clock.now_ns())
     run_s = s_from_ns(clock.now_ns() - started_ns)
-    return kept.result(note, run_s, error, None if desk is None else desk.report)
+    return kept.result(run_s, error, None if desk is None else desk.report)
 
 
 def _opening(shows: Repertoire, first: str | None) -> Program | None:
@@ -292,8 +289,10 @@ class _Kept:
         player: Player,
         simulated: Mapping[str, SimBus] | None,
         trajectory: Trajectory | None,
+        on_event: Callable[[Event], None] | None,
     ) -> None:
         """Keep what comes of `player`; `simulated` are its buses, None on a real robot."""
+        self._on_event = on_event
         self._player = player
         self._simulated = simulated
         self._warnings: list[str] = []
@@ -312,11 +311,13 @@ class _Kept:
         return [] if self._recorder is None else [self._recorder.turn]
 
     def note(self, event: Event) -> None:
-        """Keep what an event tells, if it tells anything."""
+        """Keep what an event tells, if it tells anything; pass it on to who watches."""
         if self._ledger is not None:
             self._ledger.note(event)
         elif isinstance(event, Warned):
             self._warnings.append(event.text)
+        if self._on_event is not None:
+            self._on_event(event)
 
     def close(self) -> None:
         """Forget it all."""
@@ -325,12 +326,11 @@ class _Kept:
 
     def result(
         self,
-        note: Callable[[Event], None],
         run_s: float,
         error: LssMotionError | None,
         sound: SoundReport | None,
     ) -> Result[Any]:
-        """Return the result of the run, which has ended; `note` gets the last events of many."""
+        """Return the result of the run, which has ended."""
         player, ledger = self._player, self._ledger
         truth = None if self._recorder is None else self._recorder.finish(player)
         common: dict[str, Any] = {"run_s": run_s, "sound": sound}
@@ -350,7 +350,7 @@ class _Kept:
             )
         else:
             while (event := player.next_event()) is not None:
-                note(event)
+                self.note(event)
             is_lost = isinstance(why, BusError)
             outcome = "lost" if is_lost else player.outcome or "stopped"
             report = ledger.report(player, outcome=outcome, **common)
