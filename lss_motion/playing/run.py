@@ -150,14 +150,13 @@ def perform(  # noqa: PLR0913  (the options of one run)
 ) -> Result[Any]:
     """Play a program, or the shows of a repertoire until it is stopped; return the result.
 
-    It is returned also when the run failed on the way. The options: see `RunOptions` and `Player`.
-    Raises `InputError` or `BusError` only before the first byte.
+    Raises `InputError` or `BusError` only before the first byte: later they are in the result.
     """
     opening = None if isinstance(shows, Program) else _opening(shows, first)
     needs = shows if isinstance(shows, Program) else shows.needs(opening)
     check_needs(needs, may_run=may_run or is_virtual, has_feedback=has_feedback)
     worse: dict[str, Any] = {"faults": faults, "deviation": deviation}
-    simulated = check_bus(needs, robot, is_virtual=is_virtual, **worse)
+    check_bus(needs, robot, is_virtual=is_virtual, **worse)
     clock = make_clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(
         robot.buses, robot=robot, clock=clock, seed=seed, is_recorded=is_recorded, **worse
@@ -173,8 +172,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
         is_open=is_open,
         is_forced=is_forced,
     )
-    buses, desk = connection.simulated if simulated else None, None
-    kept = _Kept(player, buses, trajectory, observer.on_event)
+    kept, desk = _Kept(player, connection.simulated or None, trajectory, observer.on_event), None
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
