@@ -17,7 +17,8 @@ from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from lss_motion.playing.player.joint_state import JointState, Observation
+    from lss_motion.playing.player.joint_state import JointState
+    from lss_motion.playing.player.servo_model import Observation
     from lss_motion.robot.model import Joint
 
     FaultKey = tuple[str, Cause]

@@ -27,6 +27,7 @@ from lss_motion.playing.player.estimators import (
 )
 from lss_motion.playing.player.servo_model import (
     LostMoveDetector,
+    Observation,
     ServoSettings,
     Setpoints,
     make_setpoints,
@@ -89,17 +90,6 @@ class DeferredTarget(NamedTuple):
     target_deg: float
     travel_deg_s: float = math.inf
     """Travel speed of a timed joint on the way there."""
-
-
-class Observation(NamedTuple):
-    """What an accepted reading of the angle shows."""
-
-    has_lost_move: bool
-    """The servo has not received the move under way: `profile` is the one that it follows."""
-    error_deg: float
-    """How far the horn is from its plan."""
-    model_error_deg: float
-    """How far it is from where its moves should have taken it."""
 
 
 @dataclass(slots=True)

@@ -567,3 +567,14 @@ class ServoSettings:
         if self.is_limp:
             self.note_sign(asked_ns)
         return self.is_limp and was_limp
+
+
+class Observation(NamedTuple):
+    """What an accepted reading of the angle shows."""
+
+    has_lost_move: bool
+    """The servo has not received the move under way: `profile` is the one that it follows."""
+    error_deg: float
+    """How far the horn is from its plan."""
+    model_error_deg: float
+    """How far it is from where its moves should have taken it."""

@@ -10,7 +10,8 @@ from lss_motion.playing.player.health import (
     HealthMonitor,
     status_fault,
 )
-from lss_motion.playing.player.joint_state import Observation, make_joint_states
+from lss_motion.playing.player.joint_state import make_joint_states
+from lss_motion.playing.player.servo_model import Observation
 from lss_motion.playing.player.session import approach
 from lss_motion.protocol.constants import (
     PRO_STATUS_FIRMWARE,
