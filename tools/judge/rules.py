@@ -112,10 +112,8 @@ def told(joint: JointRow, servo: ServoRecord, bus: BusRecord) -> Told:
         elif own_s is not None and (at_s - own_s > LATE_S or at_s in merged_s):
             gaps.append((own_s, at_s))
         last = (section.text, at_s)
-        if section.keyword in MOVES | WHEELS:
-            halted_s = None
-        elif section.keyword == "H" and halted_s is None:  # What halts it again changes nothing.
-            halted_s = at_s
+        if section.keyword in MOVES | WHEELS | {"H"}:  # To be halted again changes nothing.
+            halted_s = (halted_s or at_s) if section.keyword == "H" else None
         move = session.obey(section, at_s, servo.shaft_deg(at_s))
         if section.keyword in {"L", "RESET", "RS"}:
             powerless.append(at_s)
