@@ -199,24 +199,30 @@ def _figures() -> bool:
 
 
 def _guides() -> bool:
-    """Follow the guides."""
-    return _followed(ROOT / "sequences" / "README.md")
+    """Follow the guides, in the order of their contents, and make their site."""
+    folder = ROOT / "sequences"
+    contents = (folder / "README.md").read_text(encoding="utf-8")
+    pages = re.findall(r"\]\((guides/[^)#]+)\)", contents)
+    with tempfile.TemporaryDirectory() as site:
+        is_built = _run("mkdocs", "build", "--quiet", "-f", "tools/mkdocs.yml", "-d", site)
+    return _followed(*(folder / page for page in pages)) and is_built
 
 
-def _followed(page: Path) -> bool:
-    """Do what a page says: write the files that it shows beside it, and type its commands in order.
+def _followed(*pages: Path) -> bool:
+    """Do what pages say: write the files that they show, and type their commands in order.
 
-    This works in a new folder with a copy of the examples. A command that ends with `&` runs until
-    the others ended.
+    This works in a new folder with a copy of the examples, where the files are written, too. A
+    command that ends with `&` runs until the others ended.
     """
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         ignored = shutil.ignore_patterns("my_*")
         shutil.copytree(ROOT / "sequences", copy / "sequences", ignore=ignored)
-        text = page.read_text(encoding="utf-8").replace("/tmp/", f"{folder}/")  # noqa: S108
+        texts = [page.read_text(encoding="utf-8") for page in pages]
+        text = "\n".join(texts).replace("/tmp/", f"{folder}/")  # noqa: S108
+        place = copy if pages[0].parent == ROOT else copy / "sequences"
         for name, content in FILE.findall(text):
-            written = copy / page.relative_to(ROOT).parent / name
-            written.write_text(content, encoding="utf-8")
+            (place / name).write_text(content, encoding="utf-8")
         return _typed(_commands(text), copy)
 
 

@@ -2,7 +2,7 @@
 """Measure how each kind of fault is noticed, and how fast; print the table of the guide.
 
     tools/run python tools/fault_table.py                 print it
-    tools/run python tools/fault_table.py --write         write it into sequences/README.md
+    tools/run python tools/fault_table.py --write         write it into the guide
 
 `sequences/wave.yaml` is played in virtual time with one fault, at another instant and for another
 servo with each seed, spread over the show. A fault counts as noticed with the first event that
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SHOW: Final = ROOT / "sequences" / "wave.yaml"
-GUIDE: Final = ROOT / "sequences" / "README.md"
+GUIDE: Final = ROOT / "sequences" / "guides" / "faults.md"
 MARKS: Final = ("<!-- faults: begin, tools/fault_table.py -->", "<!-- faults: end -->")
 SEEDS: Final = 5
 FIRST_S: Final = 2.0
@@ -185,7 +185,7 @@ def main() -> int:
     )
     parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
-    parser.add_argument("--write", action="store_true", help="write it into sequences/README.md")
+    parser.add_argument("--write", action="store_true", help="write it into the guide")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as plans:
         os.environ["LSS_MOTION_CACHE_DIR"] = plans

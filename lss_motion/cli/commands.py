@@ -77,6 +77,7 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "morning": ("stages", "sum up a night of a stage from its log"),
     },
     "other": {
+        "docs": ("docs", "open the guides"),
         "pack-report": ("pack", "pack what somebody needs to find a fault of a show"),
         "mcp": ("agents", "serve shows to a program that writes them; moves nothing"),
         "schema": ("planning", "print the JSON Schema of our files or messages"),

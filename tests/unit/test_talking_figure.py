@@ -20,8 +20,7 @@ from tests.speech import spoken
 soundfile = pytest.importorskip(
     "soundfile", reason="sound files: pip install 'lss-motion[sound]'", exc_type=ImportError
 )
-GUIDES = Path(__file__).resolve().parents[2] / "sequences" / "README.md"
-TITLE = "## A talking figure in ten minutes\n"
+GUIDE = Path(__file__).resolve().parents[2] / "sequences" / "guides" / "talking-figure.md"
 TEXTGRID = """\
 File type = "ooTextFile"
 Object class = "TextGrid"
@@ -36,7 +35,7 @@ Object class = "TextGrid"
 @pytest.mark.slow
 def test_every_step_of_the_page_works_in_an_empty_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    page = GUIDES.read_text(encoding="utf-8").partition(TITLE)[2].partition("\n## ")[0]
+    page = GUIDE.read_text(encoding="utf-8")
     for name, content in re.findall(r"```yaml\n# (\w+\.yaml)\n(.*?)```", page, re.DOTALL):
         Path(name).write_text(content, encoding="utf-8")
     soundfile.write("voice.wav", spoken(np.arange(0.1, 5.0, 0.24).tolist(), 5.39), 22_050)
