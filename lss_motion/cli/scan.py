@@ -90,7 +90,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
                 looks = survey(connection, bus, arguments.baud, step.show)
             finally:
                 step.show("")  # Errors begin on a line of their own.
-            others = unreadable(connection, bus)
+            others = unreadable(connection, bus, is_silent=not looks)
             frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
             problems, notes = _print_findings(bus, robot, looks, frames, others)
             found.append(_as_json(bus, looks, problems, notes))

@@ -26,6 +26,7 @@ from lss_motion.playing.discovery import (
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
+from lss_motion.playing.player.echo import echo_text
 from lss_motion.playing.player.handshake import Dialogue, Item
 from lss_motion.playing.player.query_tracker import SLOW_TIMEOUT_NS, QueryTracker, SerialLine
 from lss_motion.playing.player.unasked import UnaskedWatch, disturbed_text
@@ -191,8 +192,14 @@ class _BusRounds:
             until_ns = from_ns + (SILENCE_NS if is_excess else CHECK_NS)
             self.silence = _Silence(from_ns, until_ns, is_check=not is_excess)
         elif not self.is_other and not self.watch.is_disturbed:
-            self.found = ""
+            self.found = self._echo_text()
         return self.silence is not None
+
+    def _echo_text(self) -> str:
+        """Return what is said of a port that returns what is sent; empty: it does not."""
+        if not self.line.echo.count:
+            return ""
+        return echo_text(self.line.bus.port, is_alone=not self.line.replies)
 
     def _judge(self, heard: _Silence) -> None:
         """Use what arrived while nothing was asked."""

@@ -27,6 +27,7 @@ from lss_motion.playing.discovery import (
     ServoIdentity,
     presence_steps,
 )
+from lss_motion.playing.player.echo import echo_text
 from lss_motion.playing.player.unasked import unasked_text, unreadable_text
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote.live_end import live_state
@@ -58,7 +59,10 @@ def survey(
     for rate_bps in rates_bps:
         progress(f"{bus.port}: {rate_bps} bps")
         connection.set_baud(bus.name, rate_bps)
-        if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).received):
+        presence = connection.run(Listening(bus.name, presence_steps(rate_bps)))
+        if presence.echo.count:
+            connection.echoing.add(bus.name)
+        if any(presence.received):
             used_bps.append(rate_bps)
     looks: list[ServoCondition] = []
     for rate_bps in (
@@ -88,10 +92,16 @@ def observed(connection: Connection, bus_name: str) -> Unasked:
     return unasked
 
 
-def unreadable(connection: Connection, bus: Bus) -> list[str]:
-    """Return the note about a bus on which a survey found unreadable bytes; none without them."""
+def unreadable(connection: Connection, bus: Bus, *, is_silent: bool) -> list[str]:
+    """Return notes about a port that echoes, and a bus on which a survey found unreadable bytes.
+
+    `is_silent`: no servo has answered there.
+    """
+    is_echoing = bus.name in connection.echoing
+    echo = [echo_text(bus.port, is_alone=is_silent)] if is_echoing else []
     seen = [one for (name, _), one in connection.unasked.items() if name == bus.name]
-    return [unreadable_text(bus.port)] if any(one.unreadable_bytes for one in seen) else []
+    is_unreadable = any(one.unreadable_bytes for one in seen)
+    return echo + ([unreadable_text(bus.port)] if is_unreadable else [])
 
 
 def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
@@ -458,7 +468,7 @@ def found_on(
         )
         for look in looks
     ]
-    others = unreadable(connection, bus)
+    others = unreadable(connection, bus, is_silent=not looks)
     if not looks:
         return servos, [*others, f"bus {bus_name}: {NO_ANSWER}"]
     problems = [

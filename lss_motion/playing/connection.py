@@ -155,6 +155,8 @@ class Connection:
         self._raising = raising()
         self.ports: dict[str, Port] = {}
         self.simulated: dict[str, SimBus] = {}
+        self.echoing: set[str] = set()
+        """Buses whose port returns what is sent."""
         self.unasked: dict[tuple[str, int], Unasked] = {}
         """By bus and rate what arrived without a query, where that was observed (`survey`)."""
 

@@ -23,6 +23,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError
+from lss_motion.playing.player.echo import EchoFilter
 from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
 from lss_motion.protocol.codec import FAMILY_TABLES, read_reply, storable
@@ -401,6 +402,7 @@ class Listening:
 
     def __init__(self, bus: str, steps: Sequence[Step]) -> None:
         self.received = [b"" for _ in steps]
+        self.echo = EchoFilter()
         self._bus = bus
         self._steps = steps
         self._next = 0
@@ -415,11 +417,13 @@ class Listening:
         step = self._steps[self._next]
         self._next += 1
         self._until_ns = leaves_ns + step.listen_ns
+        if step.data:
+            self.echo.note_sent(step.data)
         return {self._bus: step.data} if step.data else {}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:  # noqa: ARG002
         if self._next:
-            self.received[self._next - 1] += data
+            self.received[self._next - 1] += self.echo.without_echo(data)
 
     def next_wakeup_ns(self) -> int | None:
         return self._until_ns

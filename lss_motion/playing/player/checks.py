@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from lss_motion.errors import BusError, InputError, LssMotionError, PlaybackError
+from lss_motion.playing.player.echo import judge_echo
 from lss_motion.playing.player.events import Checked, Found, Warned
 from lss_motion.playing.player.handshake import (
     Item,
@@ -502,11 +503,14 @@ def check(
     """
     answers = asked.answers
     robot.require_turns(joints)
+    filters = {name: tracker.line.echo for name, tracker in trackers.items()}
+    echoes = judge_echo(robot.buses, filters, {bus for bus, _, _ in answers})
     check_sensors(program, robot, answers)
     warnings = [
         *check_answers(joints, answers, robot, stored=asked.stored, show=program.on_fault),
         *check_range(joints, answers),
         *check_latency(robot.buses, trackers),
+        *echoes,
     ]
     more, notes = check_stored_limits(
         joints, asked.stored, robot, has_feedback=has_feedback, is_forced=is_forced

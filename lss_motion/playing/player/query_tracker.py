@@ -19,6 +19,7 @@ from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from lss_motion.playing.player.echo import EchoFilter
 from lss_motion.protocol.framing import Command, Garbage, Reply, ReplyParser, encode_query, size_of
 from lss_motion.units import NS_PER_MS, NS_PER_S, line_time_ns
 
@@ -47,6 +48,7 @@ class SerialLine:
         self.sent_bytes = 0
         self.replies = 0
         self.garbage = 0
+        self.echo = EchoFilter()
         self._parser = ReplyParser(grouped=False)
         self.out = bytearray()
         """What was handed over since the last call of `take`."""
@@ -67,6 +69,7 @@ class SerialLine:
         self.free_ns = self.arrival_ns(size_bytes, now_ns)
         self.sent_bytes += size_bytes
         self.out += data
+        self.echo.note_sent(data)
         return self.free_ns
 
     def take(self) -> bytes:
@@ -86,7 +89,7 @@ class SerialLine:
         take on the line. What is no reply is counted.
         """
         pairs: list[tuple[Reply, int]] = []
-        for item in reversed(self._parser.feed(data)):
+        for item in reversed(self._parser.feed(self.echo.without_echo(data))):
             if isinstance(item, Garbage):
                 self.garbage += 1
                 continue
