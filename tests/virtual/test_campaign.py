@@ -10,7 +10,7 @@ from campaign.three_shows import NAMES, show
 from msgspec.structs import replace
 
 from lss_motion.playing.player import checks, handshake, joint_state, streamer
-from lss_motion.playing.player.health import ServoWatch
+from lss_motion.playing.player.servo_model import ServoSettings
 from lss_motion.sim.faults import Fault, FaultKind
 from tests.tables import first_quick
 
@@ -248,7 +248,7 @@ def test_whatever_goes_wrong_in_the_hands_of_a_person_no_promise_is_broken():
 
 
 def test_hands_that_ignore_restarts_are_objected_to(monkeypatch):
-    monkeypatch.setattr(ServoWatch, "is_doubtful", property(lambda _: False))
-    monkeypatch.setattr(ServoWatch, "take", lambda *_: None)
-    monkeypatch.setattr(ServoWatch, "take_status", lambda *_: None)
+    monkeypatch.setattr(ServoSettings, "is_doubtful", property(lambda _: False))
+    monkeypatch.setattr(ServoSettings, "take", lambda *_: None)
+    monkeypatch.setattr(ServoSettings, "is_limp_again", lambda *_: False)
     assert any(hands.play(seed, None).broken for seed in HANDS)

@@ -42,12 +42,15 @@ def play(stage, kit, faults, *, stored=None, must_ask=False, wishes=(), **fields
 
 
 def require_still(played, at_s=AT_S):
-    """Require that no horn left its range or its speed, and no other servo got a move."""
+    """Require that no horn left its range or its speed, and no other servo got a move.
+
+    A move that was due may leave shortly after the servo became deaf: all are deaf for longer.
+    """
     end_ns = played.bus.lines[-1][0]
     speed, _ = played.speeds(0, end_ns)
     assert np.abs(speed).max() <= 1.05 * SPEED_DEG_S
     assert np.abs(played.bus.horn_deg(range(0, end_ns, 5_000_000))).max() <= 90.5
-    after_ns = int((at_s + 0.1) * S)
+    after_ns = int((at_s + 0.2) * S)
     assert not [line for line in played.lines(after_ns=after_ns) if re.match(rb"#2D", line)]
 
 
@@ -127,7 +130,7 @@ def play_six(stage, kit, faults, baud_bps):
 
 
 @pytest.mark.parametrize("baud_bps", [500_000, 1_000_000])
-@pytest.mark.parametrize("at_s", [3.41, 4.2])
+@pytest.mark.parametrize("at_s", [2.9, 3.2, 3.41, 3.8, 4.2, 5.0])
 def test_answers_that_come_twice_show_two_servos_and_neither_moves_on(stage, kit, baud_bps, at_s):
     played = play_six(stage, kit, [renumbered(at_s)], baud_bps)
     assert "several servos (serial numbers" in str(played.result.error)

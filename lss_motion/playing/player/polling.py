@@ -39,6 +39,12 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.servo_model import Probe
 
 
+BESIDE_NS: Final = 150 * NS_PER_MS
+"""While a servo is probed that does not answer, each other one is asked so often: a probe without
+an answer takes the line for 30 ms, and who answers twice must be noticed. Chosen: half of a move of
+0.3 s."""
+
+
 @lru_cache(maxsize=1024)
 def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
     """Return a query and its size in bytes; cached, since the same few are sent all the time."""
@@ -328,9 +334,11 @@ class PollScheduler:
         """
         tracker, quiet = self._trackers[bus], self.health.awaited
         waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
+        is_urgent = any(state.settings.urgent is not None for _, state in waits_ns)
+        longest_ns = BESIDE_NS if is_urgent else LONGEST_NS
         for last_sent_ns, state in sorted(waits_ns, key=lambda wait: wait[0]):
             urgent = state.settings.urgent
-            is_due = now_ns - last_sent_ns > LONGEST_NS or state.joint.name in quiet
+            is_due = now_ns - last_sent_ns > longest_ns or state.joint.name in quiet
             if urgent is None and not is_due:
                 continue
             servo_id = state.joint.servo_id
