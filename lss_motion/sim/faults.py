@@ -19,8 +19,6 @@ from msgspec import Struct, field
 from lss_motion.errors import ProtocolError
 from lss_motion.files.keys import FILE_VERSION, VERSION, Field, FileModel, Version
 from lss_motion.files.texts import known_names
-from lss_motion.files.validation import validate
-from lss_motion.files.yaml_source import Mistake, read_yaml
 from lss_motion.protocol.codec import language_table, stored_wire
 from lss_motion.protocol.constants import RESET_S, Family
 from lss_motion.protocol.io2 import PIN_IDS
@@ -31,6 +29,7 @@ from lss_motion.units import ns_from_s, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.files.yaml_source import Mistake
     from lss_motion.protocol.codec import Language
     from lss_motion.robot.model import Robot
 
@@ -511,6 +510,9 @@ def load_faults(path: Path | str, robot: Robot | None = None) -> tuple[Fault, ..
 
     With a robot, rows that name a bus or a servo which it does not have are mistakes too.
     """
+    from lss_motion.files.validation import validate
+    from lss_motion.files.yaml_source import read_yaml
+
     source = read_yaml(Path(path))
     blanks = {"faults": FaultEntry(kind=FaultKind.DEAF)}
     content, problems, left_out = validate(FaultsFile, source, blanks=blanks)
@@ -526,6 +528,8 @@ def load_faults(path: Path | str, robot: Robot | None = None) -> tuple[Fault, ..
 
 
 def _problems(index: int, entry: FaultEntry) -> list[Mistake]:
+    from lss_motion.files.yaml_source import Mistake
+
     place = ("faults", index)
     if entry.kind not in list(FaultKind):
         known = known_names(entry.kind, map(str, FaultKind))
@@ -553,6 +557,8 @@ def _problems(index: int, entry: FaultEntry) -> list[Mistake]:
 
 
 def _input_problems(index: int, entry: FaultEntry) -> list[Mistake]:
+    from lss_motion.files.yaml_source import Mistake
+
     place = ("faults", index)
     has_distance = entry.distance_mm is not None
     if (entry.raw is None) is not has_distance:
@@ -567,6 +573,8 @@ def _input_problems(index: int, entry: FaultEntry) -> list[Mistake]:
 
 def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Mistake]:
     """Return what a row names and the robot does not have."""
+    from lss_motion.files.yaml_source import Mistake
+
     place = ("faults", index)
     if entry.bus is not None and entry.bus not in robot.buses:
         known = known_names(entry.bus, robot.buses)
@@ -593,6 +601,8 @@ def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Mistake]:
 
 def _setting_problems(index: int, entry: FaultEntry, robot: Robot | None) -> list[Mistake]:
     """Return the settings that a servo does not have, or not with that value."""
+    from lss_motion.files.yaml_source import Mistake
+
     problems = []
     for name, value in (entry.settings or {}).items():
         try:
