@@ -192,11 +192,19 @@ class ShownFolder:
         from lss_motion.planning.trajectory.plot import plot
 
         found = self._path(path)
-        with tempfile.TemporaryDirectory() as place:
+
+        def drawn() -> dict[str, Any]:
             sequence, robot = shows.load(found, None)
-            picture = Path(place) / "plan.png"
-            plot(shows.planned(sequence, robot), robot, picture, beats_s=sequence.beats_s)
-            return picture.read_bytes()
+            with tempfile.TemporaryDirectory() as place:
+                picture = Path(place) / "plan.png"
+                plot(shows.planned(sequence, robot), robot, picture, beats_s=sequence.beats_s)
+                return {"png": picture.read_bytes()}
+
+        made = self._result(self._folder, drawn)
+        if "error" in made:
+            raise InputError(made["text"])
+        png: bytes = made["png"]
+        return png
 
     def _checked(self, folder: Path, path: Path, changed: Path | None = None) -> dict[str, Any]:
         from lss_motion.stage.check import file_as_json

@@ -120,6 +120,9 @@ def test_a_show_that_names_a_robot_outside_of_the_folder_is_not_checked(folder):
     (folder / "out.yaml").write_text(text)
     for result in calls(folder, ("check", {"path": "out.yaml"}), ("preview", {"path": "out.yaml"})):
         assert "outside of the folder" in value(result)["text"]
+    (drawn,) = calls(folder, ("picture", {"path": "out.yaml"}))
+    assert drawn.is_error
+    assert drawn.content[0].type == "text"
 
 
 def test_no_tool_sends_a_byte_whatever_the_files_say(folder):
