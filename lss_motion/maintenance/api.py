@@ -96,11 +96,15 @@ def identify(live: Live, joint: str, *, span_deg: float = SPAN_DEG) -> Identifie
     return estimated(measured, experiment.recording)
 
 
-def measurable(robot: Robot, name: str) -> Joint:
-    """Return the joint as it is measured, with the timed drive; raises `InputError`."""
+def _joint(robot: Robot, name: str) -> Joint:
     if name not in robot.joints:
         raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
-    if robot.joints[name].model.family is Family.IO2:
+    return robot.joints[name]
+
+
+def measurable(robot: Robot, name: str) -> Joint:
+    """Return the joint as it is measured, with the timed drive; raises `InputError`."""
+    if _joint(robot, name).model.family is Family.IO2:
         raise InputError(
             f"joint {name!r} is an RC servo of an LSS-2IO: it reports no position and "
             f"cannot be measured",
@@ -166,13 +170,11 @@ def calibrate(live: Live, pose_deg: Mapping[str, float]) -> dict[str, float]:
     """
     from lss_motion.maintenance.settings import frame_of
 
-    for name in pose_deg:
-        if name not in live.robot.joints:
-            raise InputError(f"unknown joint {name!r}; {known_names(name, live.robot.joints)}")
+    joints = {name: _joint(live.robot, name) for name in pose_deg}
     standing_deg = live.read()
     zeros: dict[str, float] = {}
     for name, angle_deg in pose_deg.items():
-        joint = live.robot.joints[name]
+        joint = joints[name]
         frame = frame_of(
             joint,
             servo_deg=joint.servo_deg(standing_deg[name]),
