@@ -25,7 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from source_rules import citations, import_cycles, prose, sizes
+from source_rules import citations, class_names, import_cycles, prose, sizes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -79,7 +79,7 @@ def main(argv: list[str] | None = None) -> int:
             "lint": lambda: _run("ruff", "check", "--quiet", "."),
             "types": lambda: _run("mypy"),
             "imports": lambda: _run("lint-imports", "--no-cache") and _obeys(import_cycles),
-            "size": lambda: _obeys(sizes),
+            "size": lambda: _obeys(sizes, class_names),
             "prose": lambda: _obeys(prose, citations),
             "figures": _figures,
             "collect": lambda: _run("pytest", "-n0", "--collect-only", "-qq"),

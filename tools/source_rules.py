@@ -65,6 +65,19 @@ def sizes(root: Path) -> list[str]:
     return faults
 
 
+def class_names(root: Path) -> list[str]:
+    """Return the classes whose name, without underscores before it, stands at a second place."""
+    faults, places = [], dict[str, str]()
+    for path in _sources(root, PACKAGE):
+        for node in ast.walk(ast.parse(_text(path))):
+            if isinstance(node, ast.ClassDef):
+                place = f"{path.relative_to(root)}:{node.lineno}"
+                first = places.setdefault(node.name.lstrip("_"), place)
+                if first != place:
+                    faults.append(f"{place}: the class {node.name} exists at {first}, too")
+    return faults
+
+
 def prose(root: Path) -> list[str]:
     """Return the comments and docstrings that speak of machines as persons."""
     faults = []

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.settings import Frame
+    from lss_motion.maintenance.settings import JointFrame
     from lss_motion.maintenance.take import Take
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.robot.model import Joint, Robot
@@ -454,7 +454,7 @@ class CalibrateControls(HandsControls):
         self._pose = pose
         self._is_to_servos = is_to_servos
         self._servo_deg: dict[str, float] = {}
-        self._frames: dict[str, Frame] = {}
+        self._frames: dict[str, JointFrame] = {}
         self._is_written = False
 
     def turn(self, hands_on: HandsOn) -> None:
@@ -533,7 +533,7 @@ class CalibrateControls(HandsControls):
         return {key: wire for key, wire in answers.items() if wire is not None}
 
     def _write(self, hands_on: HandsOn) -> None:
-        from lss_motion.maintenance.settings import Frame, moved_origin, stated_frame
+        from lss_motion.maintenance.settings import JointFrame, moved_origin, stated_frame
         from lss_motion.robot.write import write_frames
 
         assert self._robot.path is not None
@@ -551,7 +551,7 @@ class CalibrateControls(HandsControls):
                 gyre=gyre,
                 zero_deg=frame.zero_deg,
             )
-            frames[name] = Frame(zero_deg=0.0, direction=frame.direction)
+            frames[name] = JointFrame(zero_deg=0.0, direction=frame.direction)
             stored[name]["O"] = origins[name]
         try:
             write_frames(

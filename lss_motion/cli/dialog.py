@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.cli.terminal import Inputs
-    from lss_motion.playing.player.events import Event, Found
+    from lss_motion.playing.player.events import CheckedServo, Event
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.runner import Controls
     from lss_motion.robot.model import Robot
@@ -175,7 +175,7 @@ def _cue_text(cue: Cue) -> str:
     return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
 
 
-def servo_table(servos: Sequence[Found], *, is_whole: bool = False) -> list[str]:
+def servo_table(servos: Sequence[CheckedServo], *, is_whole: bool = False) -> list[str]:
     """Return a table of the checked servos, one line each. An unknown value is a dash.
 
     It fits a terminal of 80 characters; `is_whole`: it has every column.
@@ -188,7 +188,7 @@ def servo_table(servos: Sequence[Found], *, is_whole: bool = False) -> list[str]
     return aligned(rows, right=NUMBER_COLUMNS, spare=SPARE_COLUMNS, most_chars=SCREEN_CHARS)
 
 
-def _row(found: Found) -> tuple[str, ...]:
+def _row(found: CheckedServo) -> tuple[str, ...]:
     return (
         found.joint,
         str(found.servo_id),

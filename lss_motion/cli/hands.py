@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.playing.player.events import Event
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.sim.hand import Hand
+    from lss_motion.sim.hand import HandMotion
 
 
 def add_hands_arguments(command: argparse.ArgumentParser) -> None:
@@ -211,7 +211,7 @@ def perform(
     controls: HandsControls,
     *,
     is_virtual: bool = False,
-    hand: Hand | None = None,
+    hand: HandMotion | None = None,
 ) -> None:
     """Run until the person ends it; raise `BusError` if a port cannot be opened or is lost."""
     from lss_motion.playing.connection import connect, is_simulated

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.monitor import Alarms, ServoState, Watch
+    from lss_motion.maintenance.monitor import Alarms, Polling, ServoState
     from lss_motion.maintenance.settings import Target
     from lss_motion.playing.connection import Connection
     from lss_motion.robot.model import Robot
@@ -88,7 +88,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _monitor(arguments: argparse.Namespace) -> int:
-    from lss_motion.maintenance.monitor import Alarms, Thresholds, Watch
+    from lss_motion.maintenance.monitor import Alarms, Polling, Thresholds
     from lss_motion.playing.connection import connect
     from lss_motion.robot.model import Bus
 
@@ -114,7 +114,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
         connection = stack.enter_context(connect(buses, robot=robot))
         if connection.simulated:
             say(SIMULATED_NOTE)
-        watch = Watch(_with_firmware(connection, _targets(connection, robot)), connection.buses)
+        watch = Polling(_with_firmware(connection, _targets(connection, robot)), connection.buses)
         screen = stack.enter_context(
             MonitorScreen(watch, alarms, every_s=arguments.every, is_quiet=arguments.quiet)
         )
@@ -124,7 +124,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
 
 def _run(
     connection: Connection,
-    watch: Watch,
+    watch: Polling,
     screen: MonitorScreen,
     recorder: Recorder | None,
     for_s: float | None,
@@ -134,7 +134,7 @@ def _run(
     started_ns = connection.clock.now_ns()
     end_ns = None if for_s is None else started_ns + ns_from_s(for_s)
 
-    def on_turn(watch: Watch, now_ns: int) -> None:
+    def on_turn(watch: Polling, now_ns: int) -> None:
         fresh = watch.take_fresh()
         if recorder is not None:
             recorder.write(fresh, started_ns)
@@ -239,7 +239,7 @@ CSV_HEAD: Final = (
 class MonitorScreen:
     """A table on a terminal, lines elsewhere. Beeps for new alarms."""
 
-    def __init__(self, watch: Watch, alarms: Alarms, *, every_s: float, is_quiet: bool) -> None:
+    def __init__(self, watch: Polling, alarms: Alarms, *, every_s: float, is_quiet: bool) -> None:
         self._watch = watch
         self._alarms = alarms
         self._is_quiet = is_quiet
@@ -321,7 +321,7 @@ class Recorder:
         self._file.flush()
 
 
-def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
+def rendered(watch: Polling, alarms: Alarms, elapsed_s: float) -> RenderableType:
     """Return the table, the alarms and a foot line for rich."""
     from rich.console import Group
     from rich.table import Table

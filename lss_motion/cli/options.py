@@ -125,11 +125,13 @@ def add_options(
 def add_robot(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
     """Add the robot file as ROBOT or `--robot`, for a command that has no other file."""
     group = parser.add_mutually_exclusive_group(required=is_required)
-    group.add_argument("robot", nargs="?", action=_Robot, metavar="ROBOT", help="the robot file")
-    group.add_argument("--robot", action=_Robot, metavar="FILE", help="the robot file")
+    group.add_argument(
+        "robot", nargs="?", action=_RobotAction, metavar="ROBOT", help="the robot file"
+    )
+    group.add_argument("--robot", action=_RobotAction, metavar="FILE", help="the robot file")
 
 
-class _Robot(argparse.Action):
+class _RobotAction(argparse.Action):
     """Stores the given robot file. An omitted argument leaves the value of the other one."""
 
     def __call__(

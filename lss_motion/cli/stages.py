@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.system.service import Unit
+    from lss_motion.system.service import ServiceUnit
 
 DESCRIPTION: Final = """\
 Make keys for the computers of a stage, so that no other computer can take part: a small authority
@@ -203,9 +203,9 @@ def unit_name(stage: Path) -> str:
     return "lss-" + re.sub(r"[^A-Za-z0-9_.-]", "_", stage.stem)
 
 
-def _unit(arguments: argparse.Namespace) -> Unit:
+def _unit(arguments: argparse.Namespace) -> ServiceUnit:
     from lss_motion.files.source import read_data
-    from lss_motion.system.service import Unit
+    from lss_motion.system.service import ServiceUnit
 
     read_data(arguments.stage)
     stage = arguments.stage.resolve()
@@ -217,7 +217,7 @@ def _unit(arguments: argparse.Namespace) -> Unit:
     if arguments.allow_run:
         command.append("--allow-run")
     try:
-        return Unit(
+        return ServiceUnit(
             stage=stage.stem,
             command=tuple(command),
             folder=stage.parent,

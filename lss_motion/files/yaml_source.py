@@ -195,7 +195,7 @@ def syntax_reason(error: Exception) -> str:
 
 
 @dataclass(slots=True)
-class _Node:
+class _BuiltNode:
     """A finished value, its lines (of a mapping or list), and how many nodes it stands for."""
 
     value: object
@@ -210,11 +210,11 @@ class _Builder:
         self.problems: list[Mistake] = []
         self._path = path
         self._events = events
-        self._anchors: dict[str, _Node | None] = {}
+        self._anchors: dict[str, _BuiltNode | None] = {}
         self._nodes_count = 0
 
     def document(self) -> tuple[object, _Lines | None]:
-        root: _Node | None = None
+        root: _BuiltNode | None = None
         for event in self._events:
             match type(event).__name__:
                 case "DocumentStartEvent" if root is not None:
@@ -225,7 +225,7 @@ class _Builder:
                     pass
         return (None, None) if root is None else (root.value, root.lines)
 
-    def _node(self, event: Any, location: Location) -> _Node:  # noqa: ANN401  yaml seam
+    def _node(self, event: Any, location: Location) -> _BuiltNode:  # noqa: ANN401  yaml seam
         kind = type(event).__name__
         if kind == "AliasEvent":
             node = self._repeated(event)
@@ -240,7 +240,7 @@ class _Builder:
             self._anchors[event.anchor] = None  # Open: an alias inside would never end.
         match kind:
             case "ScalarEvent":
-                node = _Node(_scalar(event), None, 1)
+                node = _BuiltNode(_scalar(event), None, 1)
             case "MappingStartEvent":
                 node = self._mapping(event, location)
             case _:
@@ -249,7 +249,7 @@ class _Builder:
             self._anchors[event.anchor] = node
         return node
 
-    def _mapping(self, start: Any, location: Location) -> _Node:  # noqa: ANN401  yaml seam
+    def _mapping(self, start: Any, location: Location) -> _BuiltNode:  # noqa: ANN401  yaml seam
         value: dict[str, object] = {}
         lines = _Lines(start.start_mark.line + 1)
         weight = 1
@@ -261,9 +261,9 @@ class _Builder:
             self._place((*location, key), event.start_mark.line + 1, node, lines, before)
             value.pop(key, None)
             value[key] = node.value
-        return _Node(value, lines, weight)
+        return _BuiltNode(value, lines, weight)
 
-    def _list(self, start: Any, location: Location) -> _Node:  # noqa: ANN401  yaml seam
+    def _list(self, start: Any, location: Location) -> _BuiltNode:  # noqa: ANN401  yaml seam
         value: list[object] = []
         lines = _Lines(start.start_mark.line + 1)
         weight = 1
@@ -272,10 +272,10 @@ class _Builder:
             weight += node.weight
             self._place((*location, len(value)), event.start_mark.line + 1, node, lines)
             value.append(node.value)
-        return _Node(value, lines, weight)
+        return _BuiltNode(value, lines, weight)
 
     def _place(
-        self, location: Location, line: int, node: _Node, lines: _Lines, before: object = None
+        self, location: Location, line: int, node: _BuiltNode, lines: _Lines, before: object = None
     ) -> None:
         """Note where a key or an item is, and what is wrong with it.
 
@@ -302,7 +302,7 @@ class _Builder:
         self._count(event, 1)
         return str(event.value)
 
-    def _repeated(self, event: Any) -> _Node:  # noqa: ANN401  yaml seam
+    def _repeated(self, event: Any) -> _BuiltNode:  # noqa: ANN401  yaml seam
         if event.anchor not in self._anchors:
             raise self._error(
                 event, f"alias *{event.anchor} has no anchor &{event.anchor} above it"

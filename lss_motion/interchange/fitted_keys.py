@@ -185,7 +185,7 @@ def without_spare_keys(
         for phase in range(2 * REACH):
             tried = np.arange(1 + phase, len(fewer) - 1, 2 * REACH)
             if len(tried):
-                trial = _Trial(made, fewer, tried)
+                trial = _KeyTrial(made, fewer, tried)
                 is_fine, made = trial.removed(curve.tolerance_deg - margin_deg)
                 fewer = np.delete(fewer, tried[is_fine])
         if len(fewer) == len(keys) or not made.fits(fewer):
@@ -214,7 +214,7 @@ def moved_keys(
             aims = places[np.clip(at + step, 0, len(places) - 1)]
             is_free = (aims > keys[tried - 1]) & (aims < keys[tried + 1])
             aims = np.where(is_free, aims, keys[tried])
-            trial = _Trial(curve, keys, tried, aims, old)
+            trial = _KeyTrial(curve, keys, tried, aims, old)
             made, error_deg = trial.moved()
             total = np.add.reduceat(error_deg**4, windows)
             is_fine = _worst(error_deg, windows) <= curve.tolerance_deg - margin_deg
@@ -236,7 +236,7 @@ def _windows(keys: IntArray, tried: IntArray) -> tuple[IntArray, IntArray]:
     return firsts, owner
 
 
-class _Trial:
+class _KeyTrial:
     """Keys of a joint of which some, far apart, are removed or moved, with other angles around."""
 
     def __init__(

@@ -48,16 +48,16 @@ NODES_MAX: Final = 4_000_000
 """Maximum number of nodes, as for values of a recording. An alias counts as its content."""
 
 
-class Node(Struct, frozen=True):
+class RosNode(Struct, frozen=True):
     """A text, a list or a mapping, and the line where it starts."""
 
-    value: str | list[Node] | dict[str, Node]
+    value: str | list[RosNode] | dict[str, RosNode]
     line: int
     size: int = 1
     """Number of nodes in it, with itself and with the content of aliases."""
 
 
-def yaml_trees(text: str, path: Path) -> Iterator[Node]:
+def yaml_trees(text: str, path: Path) -> Iterator[RosNode]:
     """Yield the documents of `text`, at least one, or raise `InputError` with the line."""
     import yaml
 
@@ -76,10 +76,10 @@ class _NodeBuilder:
     def __init__(self, path: Path, events: Iterator[Any]) -> None:
         self._path = path
         self._events = events
-        self._anchors: dict[str, Node] = {}
+        self._anchors: dict[str, RosNode] = {}
         self._nodes_count = 0
 
-    def documents(self) -> Iterator[Node]:
+    def documents(self) -> Iterator[RosNode]:
         is_empty = True
         for event in self._events:
             match type(event).__name__:
@@ -93,7 +93,7 @@ class _NodeBuilder:
         if is_empty:
             raise InputError("is empty", path=self._path)
 
-    def _node(self, event: Any, depth: int) -> Node:  # noqa: ANN401  yaml seam
+    def _node(self, event: Any, depth: int) -> RosNode:  # noqa: ANN401  yaml seam
         line = event.start_mark.line + 1
         if type(event).__name__ == "AliasEvent":
             if event.anchor not in self._anchors:
@@ -108,7 +108,7 @@ class _NodeBuilder:
             raise self._error(line, f"tag {event.tag!r:.60} would run code, which is not allowed")
         match type(event).__name__:
             case "ScalarEvent":
-                node = Node(str(event.value), line)
+                node = RosNode(str(event.value), line)
             case "MappingStartEvent":
                 node = self._mapping(line, depth)
             case _:
@@ -117,8 +117,8 @@ class _NodeBuilder:
             self._anchors[event.anchor] = node
         return node
 
-    def _mapping(self, line: int, depth: int) -> Node:
-        value: dict[str, Node] = {}
+    def _mapping(self, line: int, depth: int) -> RosNode:
+        value: dict[str, RosNode] = {}
         size = 1
         while type(event := next(self._events)).__name__ != "MappingEndEvent":
             key = self._node(event, depth + 1)
@@ -128,13 +128,13 @@ class _NodeBuilder:
                 raise self._error(key.line, f"{key.value!r:.60} is given twice")
             value[key.value] = self._node(next(self._events), depth + 1)
             size += key.size + value[key.value].size
-        return Node(value, line, size)
+        return RosNode(value, line, size)
 
-    def _list(self, line: int, depth: int) -> Node:
-        value: list[Node] = []
+    def _list(self, line: int, depth: int) -> RosNode:
+        value: list[RosNode] = []
         while type(event := next(self._events)).__name__ != "SequenceEndEvent":
             value.append(self._node(event, depth + 1))
-        return Node(value, line, 1 + sum(node.size for node in value))
+        return RosNode(value, line, 1 + sum(node.size for node in value))
 
     def _count(self, line: int, size: int) -> None:
         self._nodes_count += size
@@ -205,7 +205,7 @@ class _RosFile:
     path: Path
     left_out: list[str] = field(default_factory=list)
 
-    def unwrapped(self, node: Node) -> dict[str, Node]:
+    def unwrapped(self, node: RosNode) -> dict[str, RosNode]:
         """Return the mapping with `joint_names`, `motions` or `goal_names` inside the wrappings."""
         while True:
             here = self.mapping(node, "the file")
@@ -218,7 +218,7 @@ class _RosFile:
                 self.refuse(node, "must have 'joint_names' and 'points', or 'motions'")
             node = inner
 
-    def states(self, name: str, messages: Iterable[Node]) -> ForeignMotion:
+    def states(self, name: str, messages: Iterable[RosNode]) -> ForeignMotion:
         """Return the recording of joint states, each with its stamp."""
         poses: list[Pose] = []
         for number, node in enumerate(messages, start=1):
@@ -250,7 +250,7 @@ class _RosFile:
         is_recording = any(is_dense(channel.times_s) for channel in motion.channels)
         return replace(motion, is_recording=is_recording)
 
-    def goals(self, name: str, top: dict[str, Node]) -> ForeignMotion:
+    def goals(self, name: str, top: dict[str, RosNode]) -> ForeignMotion:
         """Return the goals that a publisher sends, one every `wait_sec_between_publish`."""
         for key in ("joints", "wait_sec_between_publish"):
             if key not in top:
@@ -273,7 +273,9 @@ class _RosFile:
         ]
         return motion_of_poses(self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments)
 
-    def _goal(self, name: str, node: Node, joints: list[str], sent_s: float, wait_s: float) -> Pose:
+    def _goal(
+        self, name: str, node: RosNode, joints: list[str], sent_s: float, wait_s: float
+    ) -> Pose:
         parts = node.value if isinstance(node.value, dict) else {"positions": node}
         if "positions" not in parts:
             self.refuse(node, f"goal {name!r:.60} has no 'positions'")
@@ -293,14 +295,14 @@ class _RosFile:
             line=node.line,
         )
 
-    def listed_motion(self, name: str, node: Node) -> ForeignMotion:
+    def listed_motion(self, name: str, node: RosNode) -> ForeignMotion:
         """Return one motion of a collection."""
         motion = self.mapping(node, name)
         if "joints" not in motion:
             self.refuse(node, f"motion {name!r:.60} has no 'joints'")
         return self.motion(name, motion, motion["joints"])
 
-    def motion(self, name: str, motion: dict[str, Node], joints: Node) -> ForeignMotion:
+    def motion(self, name: str, motion: dict[str, RosNode], joints: RosNode) -> ForeignMotion:
         """Return the motion with `points`, or with the flat lists of play_motion2."""
         names = [str(item.value) for item in self.items(joints, "the list of joints")]
         if len(set(names)) < len(names):
@@ -315,7 +317,7 @@ class _RosFile:
         comments += summarised(self.left_out)
         return motion_of_poses(self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments)
 
-    def _points(self, node: Node, names: list[str]) -> Iterator[Pose]:
+    def _points(self, node: RosNode, names: list[str]) -> Iterator[Pose]:
         for index, item in enumerate(self.items(node, "'points'")):
             where = f"point {index + 1}"
             point = self.mapping(item, where)
@@ -337,7 +339,7 @@ class _RosFile:
             )
 
     def _flat(
-        self, name: str, motion: dict[str, Node], joints: Node, names: list[str]
+        self, name: str, motion: dict[str, RosNode], joints: RosNode, names: list[str]
     ) -> Iterator[Pose]:
         """Yield the poses of play_motion2: one list of positions, row by row."""
         for key in ("positions", "times_from_start"):
@@ -359,7 +361,7 @@ class _RosFile:
                 line=time.line,
             )
 
-    def _time(self, node: Node) -> float:
+    def _time(self, node: RosNode) -> float:
         if isinstance(node.value, str):
             return self.number(node)
         if isinstance(node.value, list):  # As `rostopic pub` accepts it.
@@ -375,7 +377,7 @@ class _RosFile:
             0.0 if rest is None else self.number(rest) / NS_PER_S
         )
 
-    def number(self, node: Node, maximum: float = NUMBER_MAX) -> float:
+    def number(self, node: RosNode, maximum: float = NUMBER_MAX) -> float:
         """Return the number in `node`, or raise `InputError`."""
         try:
             value = float(node.value) if isinstance(node.value, str) else math.nan
@@ -385,24 +387,24 @@ class _RosFile:
             self.refuse(node, f"{node.value!r:.60} is not a number, or out of range")
         return value
 
-    def mapping(self, node: Node, where: str) -> dict[str, Node]:
+    def mapping(self, node: RosNode, where: str) -> dict[str, RosNode]:
         """Return the mapping in `node`, or raise `InputError`."""
         if not isinstance(node.value, dict):
             self.refuse(node, f"{where:.60} must hold keys and values")
         return node.value
 
-    def items(self, node: Node, where: str) -> list[Node]:
+    def items(self, node: RosNode, where: str) -> list[RosNode]:
         """Return the list in `node`, which has one entry or more, or raise `InputError`."""
         if not isinstance(node.value, list) or not node.value:
             self.refuse(node, f"{where} must be a list with at least one entry")
         return node.value
 
-    def refuse(self, node: Node, reason: str) -> NoReturn:
+    def refuse(self, node: RosNode, reason: str) -> NoReturn:
         """Raise `InputError` with `reason` and the line."""
         raise InputError(reason, path=self.path, line=node.line)
 
 
-def _about(motion: dict[str, Node]) -> Iterator[str]:
+def _about(motion: dict[str, RosNode]) -> Iterator[str]:
     meta = motion["meta"].value if "meta" in motion else None
     for key, node in meta.items() if isinstance(meta, dict) else ():
         if isinstance(node.value, str) and node.value:

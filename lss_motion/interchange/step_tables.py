@@ -68,7 +68,7 @@ OFF: Final = 0
 
 
 @dataclass(slots=True)
-class _Frame:
+class _StepFrame:
     line: int
     name: str
     duration_ms: int
@@ -80,8 +80,8 @@ class _MaestroContent:
     """Channels and sequences of the file, in its order."""
 
     channels: list[Mapping[str, str]] = field(default_factory=list)
-    sequences: list[tuple[str, list[_Frame]]] = field(default_factory=list)
-    open_frame: _Frame | None = None
+    sequences: list[tuple[str, list[_StepFrame]]] = field(default_factory=list)
+    open_frame: _StepFrame | None = None
 
     def start(self, lines: TextLines, line: int, tag: str, attributes: dict[str, str]) -> None:
         if tag == "Channel":
@@ -92,7 +92,7 @@ class _MaestroContent:
             if "duration" not in attributes:
                 lines.refuse(line, "this frame has no duration; give it one in milliseconds")
             duration_ms = lines.whole(attributes["duration"], line, DURATION_MAX_MS)
-            self.open_frame = _Frame(line, attributes.get("name", ""), duration_ms)
+            self.open_frame = _StepFrame(line, attributes.get("name", ""), duration_ms)
             self.sequences[-1][1].append(self.open_frame)
 
     def end(self, tag: str) -> None:
@@ -143,7 +143,11 @@ def _names(content: _MaestroContent) -> list[str]:
 
 
 def _motion(
-    lines: TextLines, title: str, frames: list[_Frame], content: _MaestroContent, names: list[str]
+    lines: TextLines,
+    title: str,
+    frames: list[_StepFrame],
+    content: _MaestroContent,
+    names: list[str],
 ) -> ForeignMotion:
     poses: list[Pose] = []
     left_out: list[str] = []

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from lss_motion.maintenance.identify.estimate import Identified
     from lss_motion.maintenance.identify.joint_run import Experiment
-    from lss_motion.maintenance.settings import Frame
+    from lss_motion.maintenance.settings import JointFrame
     from lss_motion.playing.connection import Connection
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.playing.remote.operator_end import Operator
@@ -124,7 +124,7 @@ class Calibration(Guide):
     def __init__(self, robot: Robot, joint: Joint) -> None:
         super().__init__(robot, joint)
         self._servo_deg: float | None = None
-        self._frame: Frame | None = None
+        self._frame: JointFrame | None = None
         self._ask("The joint goes limp and falls. Hold it.", RELEASE, CANCEL, step="step 1 of 4")
 
     def cancel(self, hands_on: HandsOn) -> None:

@@ -125,7 +125,7 @@ class ServoState:
 
 
 @dataclass(slots=True)
-class _Silence:
+class _ListeningGap:
     """A time in which nothing is asked, and what arrives in it."""
 
     from_ns: int
@@ -168,7 +168,7 @@ class _BusRounds:
     began_ns: int = 0
     suspended: dict[int, int] = field(default_factory=dict)
     """Servo id → end of the time in which it is not polled."""
-    silence: _Silence | None = None
+    silence: _ListeningGap | None = None
     check_ns: int | None = None
     """When nothing is asked again; None: the first round has not begun."""
     found: str = ""
@@ -190,7 +190,7 @@ class _BusRounds:
         if is_excess or now_ns >= self.check_ns:
             from_ns = now_ns + LATE_NS
             until_ns = from_ns + (SILENCE_NS if is_excess else CHECK_NS)
-            self.silence = _Silence(from_ns, until_ns, is_check=not is_excess)
+            self.silence = _ListeningGap(from_ns, until_ns, is_check=not is_excess)
         elif not self.is_other and not self.watch.is_disturbed:
             self.found = self._echo_text()
         return self.silence is not None
@@ -201,7 +201,7 @@ class _BusRounds:
             return ""
         return echo_text(self.line.bus.port, is_alone=not self.line.replies)
 
-    def _judge(self, heard: _Silence) -> None:
+    def _judge(self, heard: _ListeningGap) -> None:
         """Use what arrived while nothing was asked."""
         if heard.arrivals >= (CHECK_ARRIVALS if heard.is_check else 1):
             self.is_other = True
@@ -249,7 +249,7 @@ class _BusRounds:
         return fresh
 
 
-class Watch:
+class Polling:
     """Polls until `stop`, for the run loop. `readings` always hold the newest values.
 
     `take_fresh()` returns the servos that answered in the rounds since the last call.
@@ -409,7 +409,7 @@ class Alarms:
     ) -> list[str]:
         """Return the texts of the alarms that have begun since the last call.
 
-        `disturbed` is `Watch.disturbed`.
+        `disturbed` is `Polling.disturbed`.
         """
         now = {
             (servo.target.name, kind): text

@@ -195,7 +195,7 @@ ZERO_DECIMALS: Final = 1
 """Servos report tenths of a degree."""
 
 
-class Frame(Struct, frozen=True, kw_only=True):
+class JointFrame(Struct, frozen=True, kw_only=True):
     """The relation of joint and servo angles: `servo_deg = zero_deg + direction * joint_deg`."""
 
     zero_deg: float
@@ -204,7 +204,7 @@ class Frame(Struct, frozen=True, kw_only=True):
 
 def frame_of(
     joint: Joint, *, servo_deg: float, pose_deg: float, pushed_deg: float | None
-) -> Frame | None:
+) -> JointFrame | None:
     """Return the frame of a joint that stands at `pose_deg` while its servo reports `servo_deg`.
 
     `pushed_deg` is the servo angle after a push towards larger joint angles, or None to keep the
@@ -216,7 +216,7 @@ def frame_of(
             return None
         direction = 1 if pushed_deg > servo_deg else -1
     zero_deg = round(servo_deg - direction * pose_deg, ZERO_DECIMALS) + 0.0
-    return Frame(zero_deg=zero_deg, direction=direction)
+    return JointFrame(zero_deg=zero_deg, direction=direction)
 
 
 def stated_frame(joint: Joint, wires: Mapping[str, int]) -> dict[str, float]:

@@ -23,7 +23,7 @@ from lss_motion.playing.discovery import (
     RATES_BPS,
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
-    Listening,
+    BusListening,
     ServoIdentity,
     presence_steps,
 )
@@ -59,7 +59,7 @@ def survey(
     for rate_bps in rates_bps:
         progress(f"{bus.port}: {rate_bps} bps")
         connection.set_baud(bus.name, rate_bps)
-        presence = connection.run(Listening(bus.name, presence_steps(rate_bps)))
+        presence = connection.run(BusListening(bus.name, presence_steps(rate_bps)))
         if presence.echo.count:
             connection.echoing.add(bus.name)
         if any(presence.received):
@@ -87,7 +87,7 @@ def observed(connection: Connection, bus_name: str) -> Unasked:
     unasked = connection.unasked.get((bus_name, baud_bps))
     if unasked is None:
         unasked = connection.unasked[bus_name, baud_bps] = discovery.Unasked()
-        silence = discovery.Listening(bus_name, discovery.silent_steps(baud_bps))
+        silence = discovery.BusListening(bus_name, discovery.silent_steps(baud_bps))
         unasked.observe(connection.run(silence).received)
     return unasked
 
@@ -113,7 +113,7 @@ def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
     for _ in range(discovery.ROLL_CALLS):
         left = [servo_id for servo_id in range(ID_MAX + 1) if servo_id not in models]
         received = connection.run(
-            Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
+            BusListening(bus_name, discovery.roll_call_steps(baud_bps, left))
         ).received
         unasked.take(received, is_silent=False)
         answered, again = discovery.read_roll_call(baud_bps, left, received)
@@ -138,7 +138,7 @@ def query_each(
     def query(ids: Iterable[int], keyword: str, times: int) -> None:
         asked = [servo_id for servo_id in ids for _ in range(times)]
         steps = [discovery.question_alone(servo_id, keyword, baud_bps) for servo_id in asked]
-        received = connection.run(Listening(bus_name, steps)).received
+        received = connection.run(BusListening(bus_name, steps)).received
         for servo_id, data in zip(asked, discovery.own_answers(asked, received), strict=True):
             replies[servo_id].append(data)
 

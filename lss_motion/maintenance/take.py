@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.interchange.reduce import KeyFit
-    from lss_motion.playing.hands_on import Reading
+    from lss_motion.playing.hands_on import JointReading
     from lss_motion.robot.model import Robot
 
     FloatArray = NDArray[np.float64]
@@ -109,7 +109,7 @@ class Take:
             self.parts.append(self.running)
         self.running = None
 
-    def add(self, readings: Iterable[Reading]) -> None:
+    def add(self, readings: Iterable[JointReading]) -> None:
         """Take readings; they are dropped unless a section is being recorded."""
         section = self.running
         if section is None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from msgspec.structs import replace
 
 from lss_motion.errors import BlockedPortError, BusError, InputError, LostPortError
-from lss_motion.playing.discovery import Pause, limit_questions, robot_from_answers
+from lss_motion.playing.discovery import SilentPause, limit_questions, robot_from_answers
 from lss_motion.playing.player.checks import check_answers
 from lss_motion.playing.player.handshake import Conversation
 from lss_motion.playing.player.preflight import Examination
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
-    from lss_motion.sim.hand import Hand
+    from lss_motion.sim.hand import HandMotion
     from lss_motion.system.clock import Clock
     from lss_motion.system.port import Port
 
@@ -94,7 +94,7 @@ def connect(
     clock: Clock | None = None,
     seed: int = 0,
     faults: Sequence[Fault] = (),
-    hand: Hand | None = None,
+    hand: HandMotion | None = None,
     deviation: Deviation | None = None,
     is_recorded: bool = True,
 ) -> Connection:
@@ -207,7 +207,7 @@ class Connection:
 
     def wait(self, seconds: float) -> None:
         """Let time pass; what arrives meanwhile is dropped."""
-        self.run(Pause(self.clock.now_ns() + ns_from_s(seconds)))
+        self.run(SilentPause(self.clock.now_ns() + ns_from_s(seconds)))
 
     def restart(self, items: Iterable[Item], wait_s: float) -> None:
         """Send commands that restart servos, and let `wait_s` pass; what arrives is dropped.
@@ -264,7 +264,7 @@ class Connection:
         *,
         seed: int,
         faults: Sequence[Fault],
-        hand: Hand | None = None,
+        hand: HandMotion | None = None,
         deviation: Deviation | None = None,
         is_recorded: bool = True,
     ) -> None:

@@ -5,8 +5,8 @@ share. No query here moves or changes anything. The roll call sends `QMS`, which
 answer. A broadcast only shows that there are servos, because all answer at once; the only one that
 a 2IO answers is QMS (FACTS.md B13).
 
-`Listening` and `Pause` are for the run loop: the one sends bytes and keeps every byte that comes
-back, for a bus of which nothing is known yet; the other lets time pass.
+`BusListening` and `SilentPause` are for the run loop: the one sends bytes and keeps every byte that
+comes back, for a bus of which nothing is known yet; the other lets time pass.
 
 A joint limit may be left to its servo: `speed_max_deg_s: servo` is the setting SD,
 `accel_max_deg_s2: servo` the smaller of AA and AD. `limit_questions` asks for them.
@@ -120,21 +120,21 @@ def family_of(model: str) -> Family:
     return Family.LSS_PRO if model.startswith("LSS-P-") else Family.LSS
 
 
-def presence_steps(baud_bps: int) -> list[Step]:
+def presence_steps(baud_bps: int) -> list[DiscoveryStep]:
     """Return queries that every servo at this rate answers, each twice for damaged answers."""
     listen_ns = REPLY_TIMEOUT_NS + HELD_BACK_NS + line_time_ns(2 * REPLY_MAX_BYTES, baud_bps)
     lines = [Command(BROADCAST_ID, "QID"), Command(BROADCAST_ID, "QMS")]
     return [
-        Step(b"\r", 0),  # Ends any noise in the servos' buffers.
-        *(Step(encode(line), listen_ns) for _ in range(2) for line in lines),
+        DiscoveryStep(b"\r", 0),  # Ends any noise in the servos' buffers.
+        *(DiscoveryStep(encode(line), listen_ns) for _ in range(2) for line in lines),
     ]
 
 
-def roll_call_steps(baud_bps: int, ids: Iterable[int]) -> list[Step]:
+def roll_call_steps(baud_bps: int, ids: Iterable[int]) -> list[DiscoveryStep]:
     """Return the roll call: a query to each id, then a wait for delayed answers."""
     gap_ns = TURNAROUND_NS + line_time_ns(REPLY_MAX_BYTES, baud_bps)
     steps = [_question(servo_id, "QMS", gap_ns, baud_bps) for servo_id in ids]
-    return [*steps, Step(b"", REPLY_TIMEOUT_NS + HELD_BACK_NS)]
+    return [*steps, DiscoveryStep(b"", REPLY_TIMEOUT_NS + HELD_BACK_NS)]
 
 
 def read_roll_call(
@@ -158,7 +158,7 @@ def read_roll_call(
     return models, doubtful
 
 
-def question_alone(servo_id: int, keyword: str, baud_bps: int) -> Step:
+def question_alone(servo_id: int, keyword: str, baud_bps: int) -> DiscoveryStep:
     """Return a query with the longest time that its answer may take."""
     listen_ns = REPLY_TIMEOUT_NS + line_time_ns(REPLY_MAX_BYTES, baud_bps)
     return _question(servo_id, keyword, listen_ns, baud_bps)
@@ -236,9 +236,9 @@ def _numbers(servo_id: int, received: Sequence[bytes]) -> Counter[str]:
     )
 
 
-def _question(servo_id: int, keyword: str, listen_ns: int, baud_bps: int) -> Step:
+def _question(servo_id: int, keyword: str, listen_ns: int, baud_bps: int) -> DiscoveryStep:
     data = encode(Command(servo_id, keyword))
-    return Step(data, listen_ns + line_time_ns(len(data), baud_bps))
+    return DiscoveryStep(data, listen_ns + line_time_ns(len(data), baud_bps))
 
 
 def _values(servo_id: int, data: bytes) -> list[tuple[str, str]]:
@@ -259,10 +259,10 @@ def only_unreadable(servo_id: int, received: Sequence[bytes]) -> bool:
     return not is_readable and sum(not data for data in received) < SILENT_ENOUGH
 
 
-def silent_steps(baud_bps: int) -> list[Step]:
+def silent_steps(baud_bps: int) -> list[DiscoveryStep]:
     """Return waits in which nothing is asked, each as long as that for one answer."""
     wait_ns = question_alone(0, "QMS", baud_bps).listen_ns
-    return [Step(b"", wait_ns)] * -(-UNASKED_NS // wait_ns)
+    return [DiscoveryStep(b"", wait_ns)] * -(-UNASKED_NS // wait_ns)
 
 
 @dataclass(slots=True)
@@ -386,21 +386,21 @@ def _is_answered_by(identity: ServoIdentity, keyword: str) -> bool:
     return keyword != "QD" or "LSS-2IO-" not in identity.model or "-D" in identity.model
 
 
-class Step(Struct, frozen=True):
+class DiscoveryStep(Struct, frozen=True):
     """Bytes to send, and how long to listen afterwards."""
 
     data: bytes
     listen_ns: int
 
 
-class Listening:
+class BusListening:
     """Works through `steps` on one bus, for the run loop.
 
     `received` holds the data that came after each step and before the next; data that an adapter
     held back may stand with a later step.
     """
 
-    def __init__(self, bus: str, steps: Sequence[Step]) -> None:
+    def __init__(self, bus: str, steps: Sequence[DiscoveryStep]) -> None:
         self.received = [b"" for _ in steps]
         self.echo = EchoFilter()
         self._bus = bus
@@ -435,7 +435,7 @@ class Listening:
         return {}
 
 
-class Pause:
+class SilentPause:
     """Sends nothing until `until_ns`, for the run loop."""
 
     def __init__(self, until_ns: int) -> None:

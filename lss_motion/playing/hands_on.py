@@ -50,7 +50,7 @@ HEALTH_NS: Final = NS_PER_S // 10
 IDLE_NS: Final = 20 * NS_PER_MS
 
 
-class Reading(Struct, frozen=True):
+class JointReading(Struct, frozen=True):
     """The angle of a joint, in joint degrees, at the instant when its servo received the query."""
 
     joint: str
@@ -69,7 +69,7 @@ class ServoHealth:
 
 
 @dataclass(slots=True)
-class _Hand:
+class _PolledJoint:
     """What the poller knows of one joint besides its angle and its health."""
 
     servo: ServoSettings
@@ -111,13 +111,13 @@ class Poller:
         *,
         has_health: bool = False,
     ) -> None:
-        self.readings: dict[str, Reading] = {}
+        self.readings: dict[str, JointReading] = {}
         self.faults: deque[Faulted] = deque()
         self._robot = robot
         self._lines = lines = {bus: tracker.line for bus, tracker in trackers.items()}
         self._trackers = trackers
-        self._fresh: list[Reading] = []
-        self._hands = {(j.bus, j.servo_id): _Hand(ServoSettings(j)) for j in joints}
+        self._fresh: list[JointReading] = []
+        self._hands = {(j.bus, j.servo_id): _PolledJoint(ServoSettings(j)) for j in joints}
         self.restarted: dict[str, str] = {}
         """By joint, the fault of a servo that has lost its settings since they were set."""
         self.doubled: list[Joint] = []
@@ -162,7 +162,7 @@ class Poller:
     def has_orders(self) -> bool:
         return any(self._orders.values()) or any(hand.move for hand in self._hands.values())
 
-    def take(self) -> list[Reading]:
+    def take(self) -> list[JointReading]:
         fresh, self._fresh = self._fresh, []
         return fresh
 
@@ -212,7 +212,7 @@ class Poller:
                 self.doubled.append(double.joint)
         self._trackers[bus].doubled.clear()
 
-    def _take_probe(self, hand: _Hand, answer: Reply) -> None:
+    def _take_probe(self, hand: _PolledJoint, answer: Reply) -> None:
         """Let a move pass, or note that the servo has restarted."""
         if (fault := hand.servo.take(answer.keyword, answer.value)) is not None:
             self.restarted[hand.joint.name] = fault
@@ -220,7 +220,7 @@ class Poller:
         elif hand.servo.has_settings and hand.left[:1] == [answer.keyword]:
             del hand.left[0]
 
-    def _take(self, hand: _Hand, keyword: str, at_ns: int, value: float) -> None:
+    def _take(self, hand: _PolledJoint, keyword: str, at_ns: int, value: float) -> None:
         health = self.health[hand.joint.name]
         match keyword:
             case "QT":
@@ -236,7 +236,7 @@ class Poller:
                 if hand.left[:1] == ["QD"]:
                     del hand.left[0]
 
-    def _is_turned(self, hand: _Hand, servo_deg: float) -> bool:
+    def _is_turned(self, hand: _PolledJoint, servo_deg: float) -> bool:
         """Return whether a reading is in another turn than the one before.
 
         The second in a row is a fault, and counts: then the joint gets no move any more.
@@ -260,7 +260,7 @@ class Poller:
 
     def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
         """Record the angle of a servo."""
-        reading = Reading(joint.name, at_ns, joint.joint_deg(servo_deg))
+        reading = JointReading(joint.name, at_ns, joint.joint_deg(servo_deg))
         self.readings[joint.name] = reading
         self._fresh.append(reading)
         self._reported.discard(f"{joint.name} does not answer")
@@ -314,7 +314,7 @@ class Poller:
             if tracker.quiet_until_ns(servo_id) <= now_ns and not tracker.is_waiting(servo_id)
         )
 
-    def _notice_status(self, hand: _Hand, reply: Reply, asked_ns: int) -> None:
+    def _notice_status(self, hand: _PolledJoint, reply: Reply, asked_ns: int) -> None:
         joint = hand.joint
         if not isinstance(reply.value, int):
             return
@@ -440,7 +440,7 @@ class HandsOn:
     # ---- requests of a person
 
     @property
-    def readings(self) -> Mapping[str, Reading]:
+    def readings(self) -> Mapping[str, JointReading]:
         """The latest reading of each joint; complete from the show on."""
         return self._poller.readings
 
@@ -449,7 +449,7 @@ class HandsOn:
         """What each servo reported last, besides its angle."""
         return self._poller.health
 
-    def take(self) -> list[Reading]:
+    def take(self) -> list[JointReading]:
         """Return the readings since the last call, oldest first."""
         fresh = self._poller.take()
         if self._is_soft:
@@ -647,7 +647,7 @@ class HandsOn:
         self._has_acted = True
         return [self.robot.joints[name] for name in joints]
 
-    def _give_way(self, fresh: Iterable[Reading]) -> None:
+    def _give_way(self, fresh: Iterable[JointReading]) -> None:
         """Make joints that were pushed hold their present angle."""
         for name, deg in {reading.joint: reading.deg for reading in fresh}.items():
             is_held = name in self._held_deg and name not in self.limp

@@ -17,7 +17,7 @@ from lss_motion.playing.log import (
     TurnedLine,
 )
 from lss_motion.playing.player.events import PlayerRequest
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -128,7 +128,7 @@ def _request(player: Player, request: PlayerRequest, at_ns: int) -> None:
         case PlayerRequest("rate", (float(rate),)):
             player.set_rate(rate, at_ns)
         case PlayerRequest("follow", (float(show_s), float(rate), *style)):
-            player.follow(Leg(at_ns, show_s, rate), at_ns, *map(float, style))
+            player.follow(LeaderPosition(at_ns, show_s, rate), at_ns, *map(float, style))
         case PlayerRequest("seek", (float(show_s),)):
             player.seek(show_s, at_ns)
         case PlayerRequest("run_from", (float(show_s),)):

@@ -133,7 +133,7 @@ def trials(
         yield _Run(show, words, until_s).trial()
 
 
-class _Watch:
+class _ShowTimeWatch:
     """Notes the show time over the run, and stops the run where it is over: a `Controls`."""
 
     def __init__(self, until_s: float, *, is_cut: bool) -> None:
@@ -183,7 +183,7 @@ class _Run:
     def __init__(self, show: Show, text: str, until_s: float) -> None:
         self._show, self._text, self._until_s = show, text, until_s
         self._deviation: Deviation = deviation_from_text(text)
-        self._watch = _Watch(until_s, is_cut=until_s < show.program.duration_s)
+        self._watch = _ShowTimeWatch(until_s, is_cut=until_s < show.program.duration_s)
         self._result: Result[Report] = perform(
             show.program,
             self._show.robot,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lss_motion.show.functions import ModuleSource
 
 
-class _Loader(SourceFileLoader):
+class _BytesLoader(SourceFileLoader):
     """Loads one module from its bytes; no file is read, nor bytecode beside it."""
 
     def __init__(self, source: ModuleSource) -> None:
@@ -65,7 +65,7 @@ class ShowModules(MetaPathFinder):
         if source is not None:
             inside: list[str] | None = [] if source.is_package else None
             return spec_from_file_location(
-                name, source.path, loader=_Loader(source), submodule_search_locations=inside
+                name, source.path, loader=_BytesLoader(source), submodule_search_locations=inside
             )
         is_beside = path is None and PathFinder.find_spec(name, [self._folder]) is not None
         if is_beside and PathFinder.find_spec(name) is None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError, install_command
 from lss_motion.playing.performer_process import SOUND_PLAYERS, sound_player
 from lss_motion.playing.player.events import Noted, PlayerRequest, note_nowhere
-from lss_motion.playing.player.show_clock import TRIM_MAX_RATIO, Leg
+from lss_motion.playing.player.show_clock import TRIM_MAX_RATIO, LeaderPosition
 from lss_motion.playing.sound_choice import SoundReport
 from lss_motion.system.clock_leg import RATE_BAND
 from lss_motion.system.process import ChildProcess
@@ -317,7 +317,9 @@ class SoundDesk:
                 self._fail(self._names.get(news.number, "file"), news.text)
             case Heard():
                 if player is not None:
-                    self._follow(player, Leg(news.instant_ns, news.show_s, news.rate), now_ns)
+                    self._follow(
+                        player, LeaderPosition(news.instant_ns, news.show_s, news.rate), now_ns
+                    )
             case WrongRate():
                 self.troubles.append(
                     f"the sound device runs at {news.ratio:g} of its rate: the show does not "
@@ -329,9 +331,9 @@ class SoundDesk:
             case Dropouts():
                 self.report.dropouts = news.count
 
-    def _follow(self, player: Player, leader: Leg, now_ns: int) -> None:
+    def _follow(self, player: Player, leader: LeaderPosition, now_ns: int) -> None:
         # As it is written to the log, so that a replay computes the same.
-        leader = Leg(now_ns, leader.at_s(now_ns), leader.rate)
+        leader = LeaderPosition(now_ns, leader.at_s(now_ns), leader.rate)
         off_s = player.follow(leader, now_ns, TRIM_MAX_RATIO)
         if off_s is None:
             return

@@ -96,7 +96,7 @@ def load_robot(path: Path | str | Mapping[str, object]) -> Robot:
     source = read_yaml(Path(path)) if isinstance(path, Path | str) else source_of(path)
     content, problems, left_out = validate(RobotFile, source)
     if content is not None:
-        loader = _Loader(content, left_out, source.line)
+        loader = _RobotLoader(content, left_out, source.line)
         robot = loader.robot(source.path)
         if not source.has_lines:
             robot = replace(robot, path=None)
@@ -158,7 +158,7 @@ def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
 
 
 @dataclass(slots=True)
-class _Loader:
+class _RobotLoader:
     """Builds the robot of one file and collects its problems.
 
     `left_out` are locations that could not be read; what depends on them is not checked.

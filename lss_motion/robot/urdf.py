@@ -69,7 +69,7 @@ class _Element:
 
 
 @dataclass(slots=True)
-class _Joint:
+class _UrdfJoint:
     name: str
     element: _Element
     parent: str
@@ -91,10 +91,10 @@ def urdf_figure(source: UrdfSource, joints: Collection[str]) -> Figure:
     path = source.path
     if not path.resolve().is_relative_to(folder):
         raise InputError("lies outside of the folder of the robot file", path=path)
-    return _Reader(path, folder, source).figure(joints)
+    return _UrdfReader(path, folder, source).figure(joints)
 
 
-class _Reader:
+class _UrdfReader:
     """Reads one file."""
 
     def __init__(self, path: Path, folder: Path, source: UrdfSource) -> None:
@@ -142,7 +142,7 @@ class _Reader:
             found[name] = element
         return found
 
-    def _joint(self, name: str, element: _Element, links: Collection[str]) -> _Joint:
+    def _joint(self, name: str, element: _Element, links: Collection[str]) -> _UrdfJoint:
         kind = self._text(element, "type")
         if kind not in TURNING | STILL:
             known = known_names(kind, sorted(TURNING | STILL))
@@ -164,9 +164,9 @@ class _Reader:
             if kind in TURNING and math.hypot(*vector) == 0.0:
                 self._refuse(given, f"joint {name!r}: the axis is 0 0 0; give a direction")
             axis = unit_vector(vector) if any(vector) else axis
-        return _Joint(name, element, ends[0], ends[1], kind, axis)
+        return _UrdfJoint(name, element, ends[0], ends[1], kind, axis)
 
-    def _drive(self, made: Mapping[str, _Joint], joints: Collection[str]) -> None:
+    def _drive(self, made: Mapping[str, _UrdfJoint], joints: Collection[str]) -> None:
         """Note which joint of the robot turns which joint of the file."""
         for joint in joints:
             name = self._source.joints.get(joint, joint)
@@ -189,7 +189,7 @@ class _Reader:
             if one.driver is None and one.kind in TURNING:
                 self._mimic(one, made)
 
-    def _mimic(self, joint: _Joint, made: Mapping[str, _Joint]) -> None:
+    def _mimic(self, joint: _UrdfJoint, made: Mapping[str, _UrdfJoint]) -> None:
         """Follow `<mimic>` to a joint that a servo turns; a joint that none turns stands at 0."""
         ratio, offset_deg = 1.0, 0.0
         seen = [joint.name]
@@ -209,8 +209,8 @@ class _Reader:
             offset_deg += ratio * here.offset_deg
             joint.ratio, joint.offset_deg = ratio * here.ratio, offset_deg
 
-    def _parents(self, made: Mapping[str, _Joint]) -> dict[str, _Joint]:
-        above: dict[str, _Joint] = {}
+    def _parents(self, made: Mapping[str, _UrdfJoint]) -> dict[str, _UrdfJoint]:
+        above: dict[str, _UrdfJoint] = {}
         for joint in made.values():
             if joint.child in above:
                 other = above[joint.child].name
@@ -220,7 +220,7 @@ class _Reader:
         return above
 
     def _order(
-        self, links: Collection[str], above: Mapping[str, _Joint], root: _Element
+        self, links: Collection[str], above: Mapping[str, _UrdfJoint], root: _Element
     ) -> list[str]:
         """Return the links, parents first; refuse what does not hang on one first link."""
         starts = [name for name in links if name not in above]
@@ -246,8 +246,8 @@ class _Reader:
         name: str,
         element: _Element,
         order: list[str],
-        above: Mapping[str, _Joint],
-        made: Mapping[str, _Joint],
+        above: Mapping[str, _UrdfJoint],
+        made: Mapping[str, _UrdfJoint],
     ) -> FigureLink:
         ends = [self._frame(one.element)[0] for one in made.values() if one.parent == name]
         lines = tuple((ORIGIN, end) for end in ends if math.hypot(*end) > 0.0)

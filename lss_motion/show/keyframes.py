@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.show.file import Keep, KeyframeEntry, TrackEntry
-    from lss_motion.show.model import Cue, Layer, Step
+    from lss_motion.show.model import Cue, Layer, PlaylistStep
 
 
 def kept_joints(
@@ -366,7 +366,7 @@ def _frame(frame: Keyframe, ratio: float) -> Keyframe:
     return replace(frame, at_s=at_s, hold_s=frame.hold_s / ratio)
 
 
-def _step(step: Step, ratio: float) -> Step:
+def _step(step: PlaylistStep, ratio: float) -> PlaylistStep:
     return replace(
         step,
         sequence=None if step.sequence is None else at_speed(step.sequence, ratio),

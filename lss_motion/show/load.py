@@ -102,7 +102,7 @@ def _loaded(source: YamlSource, robot: Robot | None, part: FileContext) -> Seque
         content, found = on_beats(content)
         problems += found
     if content is not None and not found:
-        loader = _Loader(content, left_out, source, robot, part.inside(source.path))
+        loader = _SequenceLoader(content, left_out, source, robot, part.inside(source.path))
         sequence = loader.sequence()
         problems += loader.problems
         errors += loader.errors
@@ -147,7 +147,7 @@ def _as_one(source: YamlSource, problems: list[Mistake], errors: list[InputError
 
 
 @dataclass(slots=True)
-class _Loader:
+class _SequenceLoader:
     """Builds the sequence of one file.
 
     `problems` are those of this file, `errors` those of other files.

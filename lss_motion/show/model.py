@@ -154,7 +154,7 @@ class Wait(Struct, frozen=True, kw_only=True):
         return value < self.threshold if self.side == "below" else value > self.threshold
 
 
-class Step(Struct, frozen=True, kw_only=True):
+class PlaylistStep(Struct, frozen=True, kw_only=True):
     """One entry of a play list: a sequence, a pause or a wait (then `sequence` is the idle motion).
 
     `move_s` is how long the move to its first keyframe takes, where the robot stands elsewhere;
@@ -214,7 +214,7 @@ class Sequence(Located, frozen=True, kw_only=True):
     """Every change of the acceleration takes at least so long; 0: it may jump."""
     tracks: tuple[Sequence, ...] = ()
     """Other joints at the same time, each with its own keyframes, timing and loop."""
-    play: tuple[Step, ...] = ()
+    play: tuple[PlaylistStep, ...] = ()
     """Instead of keyframes and tracks: other sequences, one after the other."""
     layers: tuple[Layer, ...] = ()
     """On top of the others, in this order. Their times count from the start of the show."""

@@ -20,8 +20,8 @@ from lss_motion.show.model import (
     EXPANDED_MAX,
     PLAY_STEPS_MAX,
     Layer,
+    PlaylistStep,
     Sequence,
-    Step,
     Timing,
     Wait,
 )
@@ -132,9 +132,9 @@ class PartLoader:
     problems: list[Mistake] = field(default_factory=list)
     errors: list[InputError] = field(default_factory=list)
 
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[PlaylistStep, ...]:
         """Return the steps of the play list; steps with problems are left out."""
-        steps: list[Step] = []
+        steps: list[PlaylistStep] = []
         total = 0
         for index, entry in enumerate(self.content.play):
             place: Location = ("play", index)
@@ -170,7 +170,7 @@ class PartLoader:
     def _note(self, location: Location, reason: str) -> None:
         self.problems.append(Mistake(location, reason))
 
-    def _step(self, entry: StepEntry, place: Location) -> Step | None:
+    def _step(self, entry: StepEntry, place: Location) -> PlaylistStep | None:
         given = entry.given
         kinds = [kind for kind in ("file", "pause_s", "wait_for") if kind in given]
         if len(kinds) != 1:
@@ -184,7 +184,7 @@ class PartLoader:
             if extra := sorted(given - {"pause_s", "wait_for", "timeout_s", "idle"}):
                 self._note((*place, extra[0]), f"{extra[0]} belongs to a file")
             if entry.wait_for is None:
-                return Step(pause_s=entry.pause_s or 0.0)
+                return PlaylistStep(pause_s=entry.pause_s or 0.0)
             step = self._wait(entry.wait_for, entry.timeout_s, place)
             if step is None or entry.idle is None:
                 return step
@@ -198,7 +198,7 @@ class PartLoader:
                 (*place, "file"),
                 f"{entry.file} loops forever, so that nothing could follow; give its loop a count",
             )
-        return Step(sequence=sequence, times=entry.times, move_s=entry.move_s)
+        return PlaylistStep(sequence=sequence, times=entry.times, move_s=entry.move_s)
 
     def _idle(self, entry: StepEntry, name: str, place: Location) -> Sequence | None:
         """Return the idle motion of a wait: one pass of a file that loops forever."""
@@ -220,7 +220,9 @@ class PartLoader:
             self._note((*place, "idle"), f"{name} {reason}")
         return sequence
 
-    def _wait(self, entry: WaitEntry, timeout_s: float | None, place: Location) -> Step | None:
+    def _wait(
+        self, entry: WaitEntry, timeout_s: float | None, place: Location
+    ) -> PlaylistStep | None:
         if self.robot is None:
             return None
         place = (*place, "wait_for")
@@ -241,7 +243,7 @@ class PartLoader:
         side: Literal["below", "above"] = "below" if keys[0].startswith("below") else "above"
         threshold = float(getattr(entry, keys[0]))
         wait = Wait(sensor=sensor.name, side=side, threshold=threshold, timeout_s=timeout_s)
-        return Step(wait=wait)
+        return PlaylistStep(wait=wait)
 
     def _layer(self, entry: LayerEntry, place: Location) -> Layer | None:
         is_offset = entry.mode == "add"
@@ -303,9 +305,9 @@ class PartLoader:
             return None
         return sequence
 
-    def _join(self, steps: list[Step], step: Step, place: Location) -> None:
+    def _join(self, steps: list[PlaylistStep], step: PlaylistStep, place: Location) -> None:
         """Append the keyframes of `step` to those of the step before."""
-        before = steps[-1] if steps else Step()
+        before = steps[-1] if steps else PlaylistStep()
         parts = [part.sequence for part in (before, step) if _is_plain(part)]
         if len(parts) < 2:
             self._note(
@@ -328,9 +330,9 @@ class PartLoader:
         steps[-1] = replace(before, sequence=joined)
 
 
-def expanded(part: Step | Sequence) -> int:
+def expanded(part: PlaylistStep | Sequence) -> int:
     """Return how many keyframes a part comes to, with every pass and repetition written out."""
-    if isinstance(part, Step):
+    if isinstance(part, PlaylistStep):
         return part.times * expanded(part.sequence) if part.sequence is not None else 0
     own = len(part.keyframes) + sum(map(expanded, part.play))
     beside = sum(map(expanded, (*part.tracks, *(layer.sequence for layer in part.layers))))
@@ -377,7 +379,7 @@ def _waits(sequence: Sequence) -> bool:
     return any(step.wait is not None for step in sequence.play) or any(map(_waits, inner))
 
 
-def _is_plain(step: Step) -> bool:
+def _is_plain(step: PlaylistStep) -> bool:
     sequence = step.sequence
     return (
         sequence is not None
@@ -390,5 +392,5 @@ def _is_plain(step: Step) -> bool:
     )
 
 
-def _count(step: Step) -> int:
+def _count(step: PlaylistStep) -> int:
     return 1 + sum(map(_count, step.sequence.play)) if step.sequence else 1

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.faults import Fault, FaultEdge
-    from lss_motion.sim.hand import Hand, Push
+    from lss_motion.sim.hand import HandMotion, Push
     from lss_motion.sim.servo import Lamp
     from lss_motion.system.clock import Clock
 
@@ -493,7 +493,7 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
     physics: Physics | None = None,
     faults: Sequence[Fault] = (),
     usb_latency_ns: int = 0,
-    hand: Hand | None = None,
+    hand: HandMotion | None = None,
     droop_deg: Mapping[str, float] | None = None,
     backlash_deg: Mapping[str, float] | None = None,
     pushes: Mapping[str, Push] | None = None,

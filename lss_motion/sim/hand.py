@@ -58,7 +58,7 @@ class Push(Struct, frozen=True):
     deg: float
 
 
-class Hand(Struct, frozen=True, eq=False):
+class HandMotion(Struct, frozen=True, eq=False):
     """Joint angles (degrees) at increasing times, in seconds from power-up; straight between.
 
     A limp servo stands where the hand is; a powered one yields a little, the more the softer it
@@ -76,12 +76,12 @@ class Hand(Struct, frozen=True, eq=False):
         return HandGuide(self.times_s, joint.zero_deg + joint.direction * column)
 
 
-def hand_of(text: str, robot: Robot) -> Hand:
+def hand_of(text: str, robot: Robot) -> HandMotion:
     """Return the hand of a seed, or of the file at a path."""
     return hand_from_seed(int(text), robot) if text.isdigit() else load_hand(Path(text), robot)
 
 
-def load_hand(path: Path, robot: Robot) -> Hand:
+def load_hand(path: Path, robot: Robot) -> HandMotion:
     """Return the hand in a CSV file `t_s,<joint>,…` (joint degrees), or raise `InputError`."""
     rows = list(csv.reader(read_text(path).splitlines()))
     if not rows or rows[0][:1] != [TIME_COLUMN] or len(rows[0]) < 2:
@@ -108,10 +108,10 @@ def load_hand(path: Path, robot: Robot) -> Hand:
     if not table:
         raise InputError("has no row", path=path)
     columns = np.array(table).T
-    return Hand(columns[0], dict(zip(names, columns[1:], strict=True)))
+    return HandMotion(columns[0], dict(zip(names, columns[1:], strict=True)))
 
 
-def hand_from_seed(seed: int, robot: Robot) -> Hand:
+def hand_from_seed(seed: int, robot: Robot) -> HandMotion:
     """Return a hand that leads every joint through its range, rest to rest, for `SHOWN_S`."""
     times_s = np.arange(0.0, SHOWN_S, 0.01)
     angles_deg: dict[str, FloatArray] = {}
@@ -132,4 +132,4 @@ def hand_from_seed(seed: int, robot: Robot) -> Hand:
             column = np.where(times_s >= now_s, here_deg + (there_deg - here_deg) * eased, column)
             here_deg, now_s = there_deg, now_s + spent_s
         angles_deg[name] = column
-    return Hand(times_s, angles_deg)
+    return HandMotion(times_s, angles_deg)

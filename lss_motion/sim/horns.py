@@ -5,8 +5,8 @@ gives each horn its phases: limp, a profile (EM1, wheel, hold) or the filter (EM
 `HornHistory` records the horns for tests; no servo can read it.
 
 A horn that no load, jam or top speed holds back moves as its phases say, whatever the control loops
-do: they only measure. So the loops are owed, until one of their results is asked for. `Block` notes
-the phases meanwhile, and then computes all loops of the bus in a few numpy steps.
+do: they only measure. So the loops are owed, until one of their results is asked for. `LoopBlock`
+notes the phases meanwhile, and then computes all loops of the bus in a few numpy steps.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Horns:
         self.end_ns = [FOREVER_NS] * count
         self.next_end_ns = FOREVER_NS
         """When the first of the present phases ends."""
-        self.block: Block | None = None
+        self.block: LoopBlock | None = None
         """While loops are owed: what they must know of the horns."""
         self._stall_deg = physics.stall_deg
         self.has_ended = [False] * count
@@ -175,7 +175,7 @@ class Horns:
             return
         if any(self._may_be_held(index, top_deg_s) for index, top_deg_s in enumerate(tops_deg_s)):
             return
-        self.block = Block(
+        self.block = LoopBlock(
             now_ns,
             lags_s=self._lags_s,
             began_ns=self._began_ns,
@@ -503,7 +503,7 @@ class Loops(NamedTuple):
         return Loops(self.ns[:count], self.deg[:count], self.deg_s[:count], self.gap_deg[:count])
 
 
-class Block:
+class LoopBlock:
     """What the horns do from the loop at `ns` on; its arguments are their states there.
 
     `deg`, `gap_deg` and `deg_s` are those at the loop at `ns`, the last one that is not owed.

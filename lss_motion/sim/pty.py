@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
-    from lss_motion.sim.hand import Hand
+    from lss_motion.sim.hand import HandMotion
 
 FIFO_BYTES = 256
 """What a USB adapter takes before it makes the host wait: the transmit buffer of an FT232R."""
@@ -57,7 +57,7 @@ def serve(  # noqa: PLR0913  (what one simulated robot needs)
     announce: Callable[[str], None],
     faults: Sequence[Fault] = (),
     usb_latency_ns: int = 0,
-    hand: Hand | None = None,
+    hand: HandMotion | None = None,
     lines: Lines = "strict",
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:

@@ -148,7 +148,7 @@ def options_of(given: dict[str, Any]) -> Options:
     return Options(**own)
 
 
-def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
+def signal_of(operation: s.Trigger | s.FireCue | m.Go, stage: Stage) -> Signal:
     """Return the signal of an operation; raise `InputError` for a cue that there is not."""
     match operation:
         case s.Trigger():
@@ -159,7 +159,7 @@ def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
                 channel=operation.channel,
                 source=operation.source,
             )
-        case s.Cue():
+        case s.FireCue():
             if stage.cue(operation.label) is None:
                 known = known_names(operation.label, [cue.name for cue in stage.cues])
                 raise InputError(f"no cue {operation.label!r}; {known}")
@@ -186,7 +186,7 @@ def direct(run: Directed, operation: m.AnyOperation) -> bool:
     """Hand an operation to the director of a stage; return whether it is one of a stage."""
     director, now_ns = run.director, run.now_ns
     match operation:
-        case s.Trigger() | s.Cue() | m.Go():
+        case s.Trigger() | s.FireCue() | m.Go():
             director.signal(signal_of(operation, run.stage), now_ns)
         case m.Follow() if run.timecode is not None:
             run.timecode.take(operation, now_ns)

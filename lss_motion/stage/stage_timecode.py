@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.following import FIRST_SLACK_S, RUNNING_RATE, Following, FollowRule
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.stage.timecode.chase import ChaseState
 from lss_motion.stage.timecode.timecode import read_follow, read_send
 from lss_motion.stage.triggering import JUMP_S
@@ -70,7 +70,7 @@ class StageTimecode:
         """`legs`: where it comes from; None: only from `take`."""
         self._given, self._legs = given, legs
         self._rule = FollowRule(freewheel_s=given.freewheel_s, lost=given.lost)
-        self._leg: Leg | None = None
+        self._leg: LeaderPosition | None = None
         self._source, self._word = "", ChaseState.SEARCHING.value
         self._received_ns = 0
         self._is_new = self._is_lost = False
@@ -91,7 +91,7 @@ class StageTimecode:
 
     def take(self, leg: Follow, now_ns: int) -> None:
         """Take where the timecode is; the instant is one of the stage."""
-        self._leg = Leg(leg.instant_ns, leg.show_s, leg.rate)
+        self._leg = LeaderPosition(leg.instant_ns, leg.show_s, leg.rate)
         self._received_ns, self._is_new, self._is_lost = now_ns, True, False
         self._source = leg.source or self._source
         running = ChaseState.LOCKED if leg.rate >= RUNNING_RATE else ChaseState.STANDING
@@ -186,17 +186,17 @@ class StageTimecode:
             self.following.set_paused(is_paused=is_paused)
             self.following.turn(player, now_ns)
 
-    def leader(self, begins_s: float) -> Leg | None:
+    def leader(self, begins_s: float) -> LeaderPosition | None:
         """Return the timecode as show time of a show that begins at a position; None: lost."""
         if self._leg is None or self._is_lost:
             return None
         return self._leg._replace(show_s=self._leg.show_s - begins_s)
 
-    def _led(self) -> Leg:
+    def _led(self) -> LeaderPosition:
         """Return the leg of the show that follows, at instants of the player."""
         assert self._leg is not None
         instant_ns, at_s, rate = self._leg
-        return Leg(instant_ns - self._offset_ns, at_s - self._begins_s, rate)
+        return LeaderPosition(instant_ns - self._offset_ns, at_s - self._begins_s, rate)
 
     def _wait_without(self, director: Director, now_ns: int) -> None:
         """Let a show that waits go on waiting without timecode, if it is to, or leave it.

@@ -61,7 +61,7 @@ class Purpose(Enum):
     STOP = "stop"
 
 
-class Asked(Struct, frozen=True):
+class RequestClaims(Struct, frozen=True):
     """What a request says about itself."""
 
     purpose: Purpose
@@ -92,7 +92,7 @@ class Denied(Struct, frozen=True):
     text: str
 
 
-def decide(asked: Asked, door: Door) -> Role | Denied:
+def decide(asked: RequestClaims, door: Door) -> Role | Denied:
     """Return the role that a request has, or why it is denied.
 
     Host and Origin must be equal to ours, letter for letter. What changes anything needs our
@@ -116,14 +116,14 @@ def decide(asked: Asked, door: Door) -> Role | Denied:
     return Denied(401, STRANGER) if role is None else role
 
 
-def proved(asked: Asked, door: Door) -> Role | None:
+def proved(asked: RequestClaims, door: Door) -> Role | None:
     """Return the role that a request proves by a secret, whatever it is for; None: no secret."""
     if asked.bearer is not None:
         return Role.EDIT if door.is_token(asked.bearer) else None
     return role_of(asked.cookie, door.token)
 
 
-def _is_of_another_site(asked: Asked, door: Door) -> bool:
+def _is_of_another_site(asked: RequestClaims, door: Door) -> bool:
     """Return whether a page that is not ours has caused a request."""
     if asked.origin is not None:
         return asked.origin not in door.origins
@@ -155,10 +155,10 @@ def _signature(text: str, token: str) -> str:
     return hmac.new(token.encode(), text.encode(), hashlib.sha256).hexdigest()
 
 
-def asked_of(purpose: Purpose, headers: Mapping[str, str], door: Door) -> Asked:
+def asked_of(purpose: Purpose, headers: Mapping[str, str], door: Door) -> RequestClaims:
     """Return what the headers of a request say; their names are lower case."""
     scheme, _, bearer = headers.get("authorization", "").partition(" ")
-    return Asked(
+    return RequestClaims(
         purpose,
         headers.get("host"),
         origin=headers.get("origin"),

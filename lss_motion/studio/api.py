@@ -222,6 +222,6 @@ def page(names: list[str]) -> str:
 
 def marked(operation: m.AnyOperation, origin: str) -> m.AnyOperation:
     """Return an operation with the sender that `origin` ends with, for the log of the stage."""
-    if isinstance(operation, stage.Trigger | stage.Cue | stage.Enable):
+    if isinstance(operation, stage.Trigger | stage.FireCue | stage.Enable):
         return replace(operation, source=origin.rpartition(" from ")[2][:200])
     return operation

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lss_motion.studio.document import Document
     from lss_motion.studio.hub import Hub
     from lss_motion.studio.latch import StopKind
-    from lss_motion.studio.planner import Reply
+    from lss_motion.studio.planner import PlannerReply
     from lss_motion.studio.stopping import StopProcess
 
 MAINTENANCE: Final = "maintenance"
@@ -62,7 +62,7 @@ class Desk:
 
     def __init__(self, hub: Hub, stops: StopProcess, options: DeskOptions) -> None:
         self.document: Document | None = None
-        self.pair: Callable[[m.RoleName], m.Pairing] | None = None
+        self.pair: Callable[[m.RoleName], m.PairingCode] | None = None
         """Makes a pairing code; raises `InputError` where no other device can come."""
         self._hub, self._stops, self._options = hub, stops, options
         stops.on_latch = self.note_latch
@@ -159,7 +159,7 @@ class Desk:
             self._player.send(m.Stop())
         elif self._options.on_lost != "go_on":
             done = "stops" if self._options.on_lost == "stop" else "pauses"
-            self._hub.broadcast(m.Warned(text=f"the operator is gone: the show {done}"))
+            self._hub.broadcast(m.WarningRaised(text=f"the operator is gone: the show {done}"))
             self._player.send(m.Stop() if self._options.on_lost == "stop" else m.Pause())
 
     # ---- called by the server
@@ -250,7 +250,7 @@ class Desk:
         self._change(state="starting", plan=plan, text="")
         self._tell_robot("playing")
 
-    def _plan(self) -> Reply:
+    def _plan(self) -> PlannerReply:
         """Return the last good plan; raises `InputError` that says why there is none."""
         assert self.document is not None
         good, newest = self.document.good, self.document.newest

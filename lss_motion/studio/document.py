@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.playing.remote import schema as m
-from lss_motion.studio.planner import Reply, Request
+from lss_motion.studio.planner import PlannerReply, Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -33,14 +33,14 @@ class Document:
         self.folder = request.path.resolve().parent
         """Nothing outside of it is opened, or given to a client."""
         self.revision = 0
-        self.good: Reply | None = None
+        self.good: PlannerReply | None = None
         """The last reply with a plan, or of a robot file without an error."""
         self.robot_revision = 0
         self.shown: str | None = None
         """The show of a stage whose plan clients see."""
         self._request = request
         self._ask, self._changed = ask, changed
-        self._newest = Reply(number=0, title=request.path.stem)
+        self._newest = PlannerReply(number=0, title=request.path.stem)
         self._views: dict[str, bytes] = {}
         self._stamps: dict[Path, Stamp] = {}
         self._is_planning = self._is_current = False
@@ -51,7 +51,7 @@ class Document:
         return self._request.path
 
     @property
-    def newest(self) -> Reply:
+    def newest(self) -> PlannerReply:
         """The last reply, good or not."""
         return self._newest
 
@@ -70,7 +70,7 @@ class Document:
             figure=self._request.figure,
         )
         self.good, self._views, self._stamps = None, {}, {}
-        self._newest = Reply(number=0, title=path.stem)
+        self._newest = PlannerReply(number=0, title=path.stem)
         self._plan()
 
     def inside(self, name: str) -> Path:
@@ -93,7 +93,7 @@ class Document:
         except OSError:
             return None
 
-    def take(self, reply: Reply) -> None:
+    def take(self, reply: PlannerReply) -> None:
         """Take the reply to the newest request."""
         self._newest, self._is_planning = reply, False
         # What is wrong may be mended by another file: one that was included, or is not there yet.

@@ -48,7 +48,7 @@ AGAIN_S: Final = 0.2
 
 
 @dataclass(slots=True)
-class _Place:
+class _OpenConnection:
     """One connection."""
 
     task: asyncio.Task[None] | None = None
@@ -84,7 +84,7 @@ class Entrance:
 
     def __init__(self, app: Any, shares: Shares) -> None:  # noqa: ANN401  (ASGI)
         self._app, self._shares = app, shares
-        self._places: list[_Place] = []
+        self._places: list[_OpenConnection] = []
         self._make_protocol: Callable[[], asyncio.Protocol] = asyncio.Protocol
         self._tls: ssl.SSLContext | None = None
         self._listening: socket.socket | None = None
@@ -137,7 +137,7 @@ class Entrance:
     def _take(self, connection: socket.socket) -> None:
         connection.setblocking(False)  # noqa: FBT003
         now_s = time.monotonic()
-        place = _Place(since_s=now_s, until_s=now_s + STRANGER_S)
+        place = _OpenConnection(since_s=now_s, until_s=now_s + STRANGER_S)
         self._places.append(place)
         self._make_room(None)
         place.task = asyncio.get_running_loop().create_task(self._connect(place, connection))
@@ -145,7 +145,7 @@ class Entrance:
             lambda _: None if place.transport is not None else connection.close()
         )
 
-    async def _connect(self, place: _Place, connection: socket.socket) -> None:
+    async def _connect(self, place: _OpenConnection, connection: socket.socket) -> None:
         loop = asyncio.get_running_loop()
         limit_s = None if self._tls is None else STRANGER_S
         with contextlib.suppress(OSError):
@@ -174,7 +174,7 @@ class Entrance:
             if now_s > place.until_s or self._is_stalled(place, now_s):
                 place.drop()
 
-    def _is_stalled(self, place: _Place, now_s: float) -> bool:
+    def _is_stalled(self, place: _OpenConnection, now_s: float) -> bool:
         """Return whether nothing leaves of what waits, or a websocket has too much."""
         if place.transport is None:
             return False
@@ -206,7 +206,7 @@ class Entrance:
             place.is_answered, place.until_s = False, _until_s(place, STRANGER_S)
             place.since_s = time.monotonic()
 
-    def _place_of(self, scope: Scope) -> _Place | None:
+    def _place_of(self, scope: Scope) -> _OpenConnection | None:
         wanted = scope.get("client")
         for place in self._places:
             if place.transport is not None:
@@ -215,7 +215,7 @@ class Entrance:
                     return place
         return None
 
-    def _admit(self, place: _Place, role: Role) -> None:
+    def _admit(self, place: _OpenConnection, role: Role) -> None:
         """Note that a connection has proved a role."""
         if place.role is not role:
             place.role, place.until_s = role, math.inf
@@ -228,7 +228,7 @@ def admit(scope: Scope, role: Role) -> None:
         note(role)
 
 
-def _until_s(place: _Place, left_s: float) -> float:
+def _until_s(place: _OpenConnection, left_s: float) -> float:
     return time.monotonic() + left_s if place.role is None else math.inf
 
 

@@ -31,7 +31,7 @@ ALWAYS: Final = (m.Stop, m.Estop, m.Beat)
 """Operations that need no lease and no role."""
 
 
-class Desk(Protocol):
+class OperationDesk(Protocol):
     """Carries operations out."""
 
     def stop(self, *, is_emergency: bool) -> None:
@@ -55,7 +55,7 @@ class Hub:
     """All clients of one server."""
 
     def __init__(self, make_welcome: Callable[[Client], m.Welcome]) -> None:
-        self.desk: Desk | None = None
+        self.desk: OperationDesk | None = None
         self.on_telemetry: Callable[[bytes], None] = lambda _: None
         self.telemetry: bytes | None = None
         """The newest, for a client that comes later: where the robot stands when a show is over."""

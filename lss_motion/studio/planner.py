@@ -51,7 +51,7 @@ class Request(Struct, frozen=True, kw_only=True):
     """Of a stage with several: that of this computer, which conducts."""
 
 
-class Reply(Struct, frozen=True, kw_only=True):
+class PlannerReply(Struct, frozen=True, kw_only=True):
     """What became of a request; without a plan where `problems` say why, or it is a robot file."""
 
     number: int
@@ -87,7 +87,7 @@ class Reply(Struct, frozen=True, kw_only=True):
     """The plan of each show of a stage."""
 
 
-def reply_to(request: Request) -> Reply:
+def reply_to(request: Request) -> PlannerReply:
     """Return the plan of a request, or what is wrong; raises nothing about the files."""
     from lss_motion.planning.shows import is_program, is_robot_file
     from lss_motion.stage import is_stage_file
@@ -115,7 +115,7 @@ def reply_to(request: Request) -> Reply:
         found["problems"] = ((str(request.path), None, "needs more memory than there is"),)
     named = {Path(path) for path, _, _ in found.get("problems", ())}
     found["files"] = tuple(sorted({*found["files"], *named}))
-    return Reply(number=request.number, **found)
+    return PlannerReply(number=request.number, **found)
 
 
 def _first_files(request: Request) -> tuple[Path, ...]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from lss_motion.studio.planner import Reply, Request
+from lss_motion.studio.planner import PlannerReply, Request
 from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
@@ -30,9 +30,9 @@ DIED: Final = (
 class Planner:
     """The planner process. `on_reply` gets the reply to the newest request, and no other."""
 
-    def __init__(self, on_reply: Callable[[Reply], None]) -> None:
+    def __init__(self, on_reply: Callable[[PlannerReply], None]) -> None:
         self._on_reply = on_reply
-        self._process: ChildProcess[Reply] | None = None
+        self._process: ChildProcess[PlannerReply] | None = None
         self._wanted: Request | None = None
         """The newest request, until it is answered."""
         self._number = self._failures = 0
@@ -94,7 +94,7 @@ class Planner:
         request, self._wanted = self._wanted, None
         problem = (str(request.path), None, DIED)
         self._on_reply(
-            Reply(
+            PlannerReply(
                 number=request.number,
                 problems=(problem,),
                 has_planner=False,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from lss_motion.errors import InputError
 from lss_motion.studio.app import make_app
 from lss_motion.studio.entrance import PAGES_SHARES
-from lss_motion.studio.studio import Listening, Studio, StudioOptions
+from lss_motion.studio.studio import Studio, StudioAddress, StudioOptions
 from lss_motion.studio.web import LOOPBACK, Address, listen, make_server
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ CLOSE_S: Final = 30.0
 """A show that is stopped at the end of the server has ended by then; otherwise it is aborted."""
 
 
-def listening(options: StudioOptions) -> list[Listening]:
+def listening(options: StudioOptions) -> list[StudioAddress]:
     """Return the open sockets; raises `InputError` for an address that cannot be used."""
     places = [(LOOPBACK, False)]
     if options.listen_host not in (None, LOOPBACK):
@@ -46,7 +46,7 @@ def listening(options: StudioOptions) -> list[Listening]:
         own, other = listen(host, port, is_early=is_early), listen(host, 0, is_early=is_early)
         port = port or own.getsockname()[1]
         found.append(
-            Listening(
+            StudioAddress(
                 Address(host, own.getsockname()[1], is_tls),
                 own,
                 Address(host, other.getsockname()[1], is_tls),
@@ -96,7 +96,7 @@ def serve(
 
 async def _serve(
     options: StudioOptions,
-    sockets: Sequence[Listening],
+    sockets: Sequence[StudioAddress],
     tell: Callable[[Studio], None],
     *,
     opens: bool,

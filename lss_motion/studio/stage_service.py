@@ -287,7 +287,7 @@ class StageService:
     def note(self, text: str) -> None:
         """Print what the server has noted, and show it on the pages as a warning."""
         self._options.note(text)
-        self.studio.hub.broadcast(m.Warned(text=text))
+        self.studio.hub.broadcast(m.WarningRaised(text=text))
 
     # ---- systemd
 

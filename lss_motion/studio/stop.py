@@ -3,7 +3,7 @@
 It has its own ports, knows the token, and has a link of its own to each player. So a stop arrives
 where the server hangs, stands still or was killed. It lives until the server and the last player
 have ended. It owns the latch: no other process writes that. A stop is kept until the server sends
-`Rearm`, and a player that starts meanwhile is stopped at once.
+`RearmPlayers`, and a player that starts meanwhile is stopped at once.
 
 The server sends a `StopOrder`, first the settings; it gets `Latched` whenever that was written.
 """
@@ -52,7 +52,7 @@ class StopPlayers(Struct, frozen=True, tag=True):
     kind: StopKind
 
 
-class Rearm(Struct, frozen=True, tag=True):
+class RearmPlayers(Struct, frozen=True, tag=True):
     """Players may start again."""
 
 
@@ -62,7 +62,7 @@ class Latched(Struct, frozen=True, tag=True):
     kind: StopKind | None
 
 
-StopOrder = StopSettings | NewPlayer | StopPlayers | Rearm
+StopOrder = StopSettings | NewPlayer | StopPlayers | RearmPlayers
 
 
 class Stopper:
@@ -106,7 +106,7 @@ class Stopper:
                     self._take(socket.socket(fileno=filenos.popleft()))
             case StopPlayers():
                 self.stop(order.kind)
-            case Rearm():
+            case RearmPlayers():
                 self.latch.clear()
                 self._control.send(Latched(None))
 

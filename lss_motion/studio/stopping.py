@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.studio.latch import Latch, latch_file
-from lss_motion.studio.stop import Latched, NewPlayer, Rearm, StopPlayers
+from lss_motion.studio.stop import Latched, NewPlayer, RearmPlayers, StopPlayers
 from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class StopProcess:
         """Called when the process has written the latch."""
         self._memory = latch_file()
         self._latch = Latch(self._memory.fileno())
-        self._wish: StopPlayers | Rearm | None = None
+        self._wish: StopPlayers | RearmPlayers | None = None
         """What was asked of the process, until it has done that."""
         self._ends: list[socket.socket] = []
         """The server's ends of the stop links of players, for a process that is started again."""
@@ -62,7 +62,7 @@ class StopProcess:
         match self._wish:
             case StopPlayers(kind):
                 return kind
-            case Rearm():
+            case RearmPlayers():
                 return None
         return self._latch.kind
 
@@ -72,9 +72,9 @@ class StopProcess:
 
     def rearm(self) -> None:
         """Let players start again."""
-        self._ask(Rearm())
+        self._ask(RearmPlayers())
 
-    def _ask(self, wish: StopPlayers | Rearm) -> None:
+    def _ask(self, wish: StopPlayers | RearmPlayers) -> None:
         self._wish = wish
         self._child.send(wish)
 
@@ -101,7 +101,7 @@ class StopProcess:
 
     def _read(self) -> None:
         for latched in self._child.receive():
-            is_done = (latched.kind is None) == isinstance(self._wish, Rearm)
+            is_done = (latched.kind is None) == isinstance(self._wish, RearmPlayers)
             self._wish = None if is_done else self._wish
             self.on_latch()
         if self._child.has_ended:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from lss_motion.studio.access import RoleName
     from lss_motion.studio.client import Client
-    from lss_motion.studio.planner import Reply
+    from lss_motion.studio.planner import PlannerReply
 
 
 class StudioOptions(Struct, frozen=True, kw_only=True):
@@ -66,7 +66,7 @@ class StudioOptions(Struct, frozen=True, kw_only=True):
 class Studio:
     """One running studio; made inside of a running loop."""
 
-    def __init__(self, options: StudioOptions, sockets: Sequence[Listening]) -> None:
+    def __init__(self, options: StudioOptions, sockets: Sequence[StudioAddress]) -> None:
         self.addresses = [one.address for one in sockets]
         self.stop_addresses = [one.stop_address for one in sockets]
         port = self.addresses[0].port
@@ -167,7 +167,7 @@ class Studio:
         self.planner.close()
         self.stops.close()
 
-    def _pair(self, role: RoleName) -> m.Pairing:
+    def _pair(self, role: RoleName) -> m.PairingCode:
         urls = tuple(f"{one.origin}/" for one in self.addresses if one.host != LOOPBACK)
         if not urls:
             own = next((one for one in own_addresses() if one != LOOPBACK), "ADDRESS")
@@ -181,9 +181,9 @@ class Studio:
                 f"a tablet cannot come here yet, since this computer alone is listened to; {how}"
             )
         code = self.make_code(role)
-        return m.Pairing(code=code, role=role, valid_s=CODE_VALID_S, urls=urls)
+        return m.PairingCode(code=code, role=role, valid_s=CODE_VALID_S, urls=urls)
 
-    def _planned(self, reply: Reply) -> None:
+    def _planned(self, reply: PlannerReply) -> None:
         self.document.take(reply)
 
     def _document_changed(self) -> None:
@@ -207,7 +207,7 @@ class Studio:
         return self.stop_addresses[client.place].origin
 
 
-class Listening(Struct, frozen=True):
+class StudioAddress(Struct, frozen=True):
     """One address: the socket of the pages, and that of the stop process."""
 
     address: Address

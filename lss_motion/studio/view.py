@@ -87,7 +87,7 @@ def view_of(show: Show, plan: str, peaks_of: PeaksOf | None = None) -> dict[str,
     sequence, trajectory, program, robot = show.sequence, show.trajectory, show.program, show.robot
     assert sequence is not None, "a program that was compiled before has no keys"
     assert trajectory is not None, "the same"
-    window = Window(program)
+    window = ViewWindow(program)
     lanes = lanes_of(sequence, trajectory, window)
     horn = _horn_curves(program, robot, window)
     motion = _motion_curves(trajectory, robot, window, _knot_keys(lanes))
@@ -126,7 +126,7 @@ def view_of(show: Show, plan: str, peaks_of: PeaksOf | None = None) -> dict[str,
     }
 
 
-def _departures(trajectory: Trajectory, window: Window) -> dict[str, list[dict[str, Any]]]:
+def _departures(trajectory: Trajectory, window: ViewWindow) -> dict[str, list[dict[str, Any]]]:
     """Return where and why the plan is not what the author asks for."""
     return {
         "stretched": window.spans(
@@ -163,7 +163,7 @@ def _departures(trajectory: Trajectory, window: Window) -> dict[str, list[dict[s
     }
 
 
-class Window:
+class ViewWindow:
     """What of a show is in its view: the written program, from 0 to `end_s`."""
 
     def __init__(self, program: Program) -> None:
@@ -221,7 +221,9 @@ class LaneOf(NamedTuple):
     is_added: bool = False
 
 
-def lanes_of(sequence: Sequence, trajectory: Trajectory, window: Window) -> list[dict[str, Any]]:
+def lanes_of(
+    sequence: Sequence, trajectory: Trajectory, window: ViewWindow
+) -> list[dict[str, Any]]:
     """Return a lane for the keyframes of the show, of each track, layer and part of a play list."""
     lanes: dict[LaneOf, list[tuple[Keyframe, Mark, float]]] = {}
     for lane, keyed in _keyed(sequence, trajectory, window.show_end_s):
@@ -259,7 +261,9 @@ def _file_of(path: Path | None, show: Path | None) -> str:
     return str(full.relative_to(folder) if full.is_relative_to(folder) else path)
 
 
-def _keys(frame: Keyframe, mark: Mark, start_s: float, window: Window) -> Iterator[dict[str, Any]]:
+def _keys(
+    frame: Keyframe, mark: Mark, start_s: float, window: ViewWindow
+) -> Iterator[dict[str, Any]]:
     """Yield a keyframe as one key; as two, where only some of its joints keep their time."""
     kept = set(mark.kept) if not mark.is_kept and mark.authored_s is not None else set()
     for names, at_s in (
@@ -441,7 +445,7 @@ def _parts(trajectory: Trajectory) -> list[dict[str, Any]]:
 
 
 def _motion_curves(
-    trajectory: Trajectory, robot: Robot, window: Window, keys_s: Mapping[str, FloatArray]
+    trajectory: Trajectory, robot: Robot, window: ViewWindow, keys_s: Mapping[str, FloatArray]
 ) -> dict[str, Curve]:
     """Return the planned motion of each joint."""
     knots_s = np.unique(
@@ -474,7 +478,7 @@ def _motion_curves(
     return curves
 
 
-def _horn_curves(program: Program, robot: Robot, window: Window) -> dict[str, Curve]:
+def _horn_curves(program: Program, robot: Robot, window: ViewWindow) -> dict[str, Curve]:
     """Return where the bytes take each horn, in joint degrees: its profile, later by its lead."""
     robot = driven(robot, program)
     curves = {}
@@ -503,7 +507,7 @@ def _horn_curves(program: Program, robot: Robot, window: Window) -> dict[str, Cu
     return curves
 
 
-def _authored_curves(trajectory: Trajectory, window: Window) -> dict[str, Curve]:
+def _authored_curves(trajectory: Trajectory, window: ViewWindow) -> dict[str, Curve]:
     """Return the motion at the author's own times, for plans that are slowed somewhere."""
     if not trajectory.stretched:
         return {}
@@ -580,7 +584,7 @@ def _joint(joint: Joint, program: Program) -> dict[str, Any]:
     }
 
 
-def _events(trajectory: Trajectory, program: Program, window: Window) -> list[dict[str, Any]]:
+def _events(trajectory: Trajectory, program: Program, window: ViewWindow) -> list[dict[str, Any]]:
     """Return cues and waits in order of time."""
     found = [
         {
@@ -611,7 +615,7 @@ def _kind(cue: Cue) -> str:
     return "led" if cue.led else "say" if cue.say else "run" if cue.run else "sound"
 
 
-def _line_use(program: Program, robot: Robot, window: Window) -> dict[str, Any]:
+def _line_use(program: Program, robot: Robot, window: ViewWindow) -> dict[str, Any]:
     """Return for each bus which share of each step commands take, and its reading rate."""
     step_s = max(LINE_STEP_MIN_S, window.end_s / LINE_STEPS_MAX)
     count = max(1, math.ceil(window.end_s / step_s))
@@ -635,7 +639,9 @@ def _line_use(program: Program, robot: Robot, window: Window) -> dict[str, Any]:
     }
 
 
-def _waveforms(trajectory: Trajectory, window: Window, peaks_of: PeaksOf) -> list[dict[str, Any]]:
+def _waveforms(
+    trajectory: Trajectory, window: ViewWindow, peaks_of: PeaksOf
+) -> list[dict[str, Any]]:
     """Return the peaks of each sound where it sounds: seconds of the show, not of the file."""
     found = []
     for cue in all_cues(trajectory, window.show_end_s):

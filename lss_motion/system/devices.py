@@ -152,7 +152,7 @@ _SCHEMES: Final[dict[str, Callable[[str, str], str]]] = {
 }
 
 
-class Device(Struct, frozen=True, kw_only=True):
+class SerialDevice(Struct, frozen=True, kw_only=True):
     """A serial port of this computer.
 
     `name` is the text that its USB chip reports, `hardware` its numbers, such as `0403:6001`.
@@ -164,12 +164,12 @@ class Device(Struct, frozen=True, kw_only=True):
     hardware: str = ""
 
 
-def list_devices() -> list[Device]:
+def list_devices() -> list[SerialDevice]:
     """Return the serial ports of this computer, those on USB first."""
     from serial.tools.list_ports import comports
 
     found = [
-        Device(
+        SerialDevice(
             path=port.device,
             name=_name(port),
             is_usb=port.vid is not None,

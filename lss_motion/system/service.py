@@ -31,7 +31,7 @@ START_S: Final = 300
 RESTART_S: Final = 5
 
 
-class Unit(Struct, frozen=True, kw_only=True):
+class ServiceUnit(Struct, frozen=True, kw_only=True):
     """What the unit of one stage holds."""
 
     stage: str
@@ -45,7 +45,7 @@ class Unit(Struct, frozen=True, kw_only=True):
     variables: Mapping[str, str]
 
 
-def unit_text(unit: Unit) -> str:
+def unit_text(unit: ServiceUnit) -> str:
     """Return the unit as systemd reads it, with a reason beside each line that is not obvious."""
     network = (
         ["Wants=network-online.target", "After=network-online.target"] if unit.is_networked else []

@@ -3,9 +3,9 @@
 `as_program` is what the entry points call before anything heavy is imported. Until a port is open,
 a signal ends the process at once: nothing moves and nothing has to be given back, and an exception
 in the middle of an import or of compiled code would be printed by Python or lost. Inside `raising`
-(a port is open) it raises `Ended`, so that the safe state is sent and the ports are closed. At the
-end of the program it is ignored: the exit code stands already. A run that is controlled by keys
-collects signals itself (`cli.terminal`).
+(a port is open) it raises `EndedBySignal`, so that the safe state is sent and the ports are closed.
+At the end of the program it is ignored: the exit code stands already. A run that is controlled by
+keys collects signals itself (`cli.terminal`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ AGAIN_S: Final = 0.01
 """So long after its exception was dropped, a signal is sent again. Chosen: a destructor is over."""
 
 
-class Ended(KeyboardInterrupt):
+class EndedBySignal(KeyboardInterrupt):
     """A signal ended the program. Like Ctrl-C, it passes every `except Exception`."""
 
     def __init__(self, number: int) -> None:
@@ -47,7 +47,11 @@ class Ended(KeyboardInterrupt):
 
 def exit_code(interrupt: KeyboardInterrupt) -> int:
     """Return the exit code of a program that this exception ended."""
-    return EXIT_OF_SIGNAL + interrupt.number if isinstance(interrupt, Ended) else EXIT_INTERRUPTED
+    return (
+        EXIT_OF_SIGNAL + interrupt.number
+        if isinstance(interrupt, EndedBySignal)
+        else EXIT_INTERRUPTED
+    )
 
 
 def as_program(name: str, do: Callable[[], int]) -> int:
@@ -72,7 +76,7 @@ def as_program(name: str, do: Callable[[], int]) -> int:
 
 @contextlib.contextmanager
 def raising() -> Iterator[None]:
-    """Let signals raise `Ended` inside this block, if `as_program` handles them."""
+    """Let signals raise `EndedBySignal` inside this block, if `as_program` handles them."""
     handlers = {
         handler for number in ENDING if isinstance(handler := signal.getsignal(number), _Handler)
     }
@@ -86,7 +90,7 @@ def raising() -> Iterator[None]:
 
 
 class _Handler:
-    """Ends the process, or raises inside `raising`: the first time `Ended`, then not."""
+    """Ends the process, or raises inside `raising`: the first time `EndedBySignal`, then not."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -109,15 +113,15 @@ class _Handler:
                 os.write(2, f"\n{self._name}: interrupted\n".encode())
             os._exit(EXIT_OF_SIGNAL + number)
         if self._count == 1:
-            raise Ended(number)
+            raise EndedBySignal(number)
 
     def dropped(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """Send the signal again if Python has dropped `Ended`; else print what it has dropped.
+        """Send the signal again if Python dropped `EndedBySignal`; else print what it dropped.
 
         It does so in destructors and in callbacks of weak references, such as those of imports.
         """
         ended = unraisable.exc_value
-        if isinstance(ended, Ended) and self._depth:
+        if isinstance(ended, EndedBySignal) and self._depth:
             self._count = 0
             _thread.start_new_thread(self._send_again, (ended.number,))
         else:

@@ -15,7 +15,7 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
 from lss_motion.show.check import loop_problem
-from lss_motion.show.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
+from lss_motion.show.model import Interpolation, Keyframe, Layer, PlaylistStep, Sequence, Timing
 
 MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=600.0, wire_per_deg=10)
 STEPS_S = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 1.0)
@@ -144,8 +144,10 @@ def show_of(random: np.random.Generator, robot: Robot, count: int, form: str) ->
         case "play":
             parts = [sequence_of(random, half, count, timing) for half in parted(robot)]
             finite = [replace(part, loop=part.loop or 2) for part in parts]
-            steps = [Step(sequence=part, times=int(random.integers(1, 3))) for part in finite]
-            pause = Step(pause_s=float(random.choice([0.0, 0.5])))
+            steps = [
+                PlaylistStep(sequence=part, times=int(random.integers(1, 3))) for part in finite
+            ]
+            pause = PlaylistStep(pause_s=float(random.choice([0.0, 0.5])))
             return Sequence(name="play", play=(*steps, pause, steps[0]), loop=1)
         case "layers":
             base = replace(sequence_of(random, robot, count, timing), loop=1)

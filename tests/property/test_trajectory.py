@@ -17,7 +17,7 @@ from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.show.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
+from lss_motion.show.model import Interpolation, Keyframe, Layer, PlaylistStep, Sequence, Timing
 
 if TYPE_CHECKING:
     from lss_motion.planning.trajectory.model import Trajectory
@@ -237,9 +237,9 @@ def test_a_play_list_breaks_no_limit_and_begins_every_step_where_it_should(
     data: st.DataObject, robot: Robot
 ) -> None:
     parts = [replace(part, loop=part.loop or 2) for part in parts_of(data, robot)]
-    steps = [Step(sequence=part, times=data.draw(st.integers(1, 3))) for part in parts]
-    steps.insert(data.draw(st.integers(0, len(steps))), Step(pause_s=0.5))
-    steps = data.draw(st.permutations([*steps, Step(sequence=parts[0], move_s=0.1)]))
+    steps = [PlaylistStep(sequence=part, times=data.draw(st.integers(1, 3))) for part in parts]
+    steps.insert(data.draw(st.integers(0, len(steps))), PlaylistStep(pause_s=0.5))
+    steps = data.draw(st.permutations([*steps, PlaylistStep(sequence=parts[0], move_s=0.1)]))
     loop = data.draw(st.sampled_from([1, 2, None]))
     trajectory = plan(Sequence(name="list", play=tuple(steps), loop=loop), robot)
     verify(trajectory, robot)

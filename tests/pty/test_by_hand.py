@@ -14,7 +14,7 @@ from served_bus import served_bus
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.hand import Hand
+from lss_motion.sim.hand import HandMotion
 from tests.programs import ProgramBeside, terminal_command
 
 pytestmark = pytest.mark.realtime
@@ -29,7 +29,9 @@ poses:
   home: {pan: 0, tilt: 0}   # straight ahead
 """
 SWAY_S = np.arange(0.0, 60.0, 0.05)
-SWAY = Hand(SWAY_S, {"pan": 30.0 * np.sin(SWAY_S), "tilt": 10.0 + 10.0 * np.sin(2.0 * SWAY_S)})
+SWAY = HandMotion(
+    SWAY_S, {"pan": 30.0 * np.sin(SWAY_S), "tilt": 10.0 + 10.0 * np.sin(2.0 * SWAY_S)}
+)
 
 
 @contextmanager

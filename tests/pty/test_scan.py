@@ -105,7 +105,7 @@ def test_without_permission_the_group_to_join_is_named(lss_motion, tmp_path, mon
 
 def test_without_a_port_those_of_the_computer_are_shown(lss_motion, monkeypatch):
     def found(*known):
-        ports = [devices.Device(path=path, name="FT232R", is_usb=True) for path in known]
+        ports = [devices.SerialDevice(path=path, name="FT232R", is_usb=True) for path in known]
         monkeypatch.setattr(devices, "list_devices", lambda: ports)
         return lss_motion("scan")
 

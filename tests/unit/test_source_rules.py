@@ -10,6 +10,7 @@ from source_rules import (
     SMALL_MODULE_LINES,
     SMALL_MODULES_MAX,
     citations,
+    class_names,
     import_cycles,
     prose,
     sizes,
@@ -48,6 +49,16 @@ def test_a_function_that_is_too_long_is_named(write):
     body = "    x = 1\n" * 70
     root = write(lss_motion__a=f"{LONG_ENOUGH}def f():\n{body}")
     assert sizes(root) == ["lss_motion/a.py:81: f has 71 lines, at most 70"]
+
+
+def test_two_classes_of_one_name_are_named(write):
+    root = write(
+        lss_motion__a="class Frame: pass\nclass Other: pass\n",
+        lss_motion__b="x = 1\nclass _Frame: pass\n",
+    )
+    assert class_names(root) == [
+        "lss_motion/b.py:2: the class _Frame exists at lss_motion/a.py:1, too"
+    ]
 
 
 def test_too_many_small_modules_are_refused(write):

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.events import CueReached, MarkPassed
-from lss_motion.show.model import Cue, Sequence, Step
+from lss_motion.show.model import Cue, PlaylistStep, Sequence
 from lss_motion.units import line_time_ns
 
 RED, BLUE, WHITE = 1, 3, 7
@@ -94,7 +94,7 @@ def test_the_steps_of_a_play_list_bring_their_cues(stage, kit):
     part = replace(kit.sequence(2, 3.0), events=(Cue(at_s=1.0, say="part"),))
     show = Sequence(
         name="list",
-        play=(Step(sequence=part, times=2), Step(pause_s=1.0)),
+        play=(PlaylistStep(sequence=part, times=2), PlaylistStep(pause_s=1.0)),
         events=(Cue(at_s=0.5, say="list"),),
     )
     played = stage.play(kit.robot(2), show)

@@ -7,8 +7,8 @@ import pytest
 
 from lss_motion.planning import shows
 from lss_motion.playing.player.events import Phase, PhaseEntered
-from lss_motion.playing.player.following import SLOW_RATE, Following, FollowRule, Step
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.following import SLOW_RATE, Following, FollowingStep, FollowRule
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.timecode.source import FollowControls
 
@@ -35,7 +35,7 @@ class Leader:
         while self.next_ns <= now_ns:
             led = self.at((self.next_ns - self.start_ns) / S)
             if led is not None:
-                self.following.lead(Leg(self.next_ns, *led), now_ns)
+                self.following.lead(LeaderPosition(self.next_ns, *led), now_ns)
             self.next_ns += LEG_NS
         self.following.turn(player, now_ns)
         self.texts += self.following.take_texts()
@@ -54,7 +54,7 @@ class Leader:
             [
                 led_s - show_s
                 for (at_s, show_s, led_s), step in zip(self.course, self.steps, strict=True)
-                if from_s <= at_s < to_s and step is Step.RUNNING
+                if from_s <= at_s < to_s and step is FollowingStep.RUNNING
             ]
         )
 
@@ -104,7 +104,7 @@ def test_a_leg_ahead_starts_the_show_at_exactly_that_instant(stage, kit, robot):
     def at(seconds):
         if seconds > 0.0 and not started:
             started.append(leader.next_ns + 4 * S)
-            leader.following.lead(Leg(started[0], 0.0, 1.0), leader.next_ns)
+            leader.following.lead(LeaderPosition(started[0], 0.0, 1.0), leader.next_ns)
 
     leader = Leader(at, FollowRule(freewheel_s=None))
     seen = []
@@ -137,7 +137,7 @@ def test_a_jump_brakes_approaches_and_arrives_in_step(stage, kit, drive, by_s):
     assert leader.following.jumps == 1
     assert_limits_hold(played, robot)
     both = zip(leader.course, leader.steps, strict=True)
-    joined = [s for (s, _, _), step in both if step is Step.RUNNING]
+    joined = [s for (s, _, _), step in both if step is FollowingStep.RUNNING]
     gap = max(np.diff(joined))
     assert gap < 6.0
     back_s = next(s for s in joined if s > 7.2)
@@ -148,7 +148,7 @@ def test_a_jump_brakes_approaches_and_arrives_in_step(stage, kit, drive, by_s):
 def test_a_leader_that_says_before_that_it_slows_down_is_followed_without_a_stop(stage, kit, drive):
     robot = kit.robot(2, baud_bps=115200, drive=drive)
     show = kit.sequence(2, 12.0, step_s=(0.6, 0.9))
-    turns = {6.0: Leg(0, 3.0, 0.5), 10.0: Leg(0, 5.0, 1.0)}
+    turns = {6.0: LeaderPosition(0, 3.0, 0.5), 10.0: LeaderPosition(0, 5.0, 1.0)}
 
     def at(s):
         return 0.5 * (s - 6.0) + 3.0 if 6.0 <= s < 10.0 else s - (3.0 if s < 6.0 else 5.0)
@@ -203,7 +203,7 @@ def test_a_leader_that_seeks_is_gone_to_and_waited_for_and_the_show_begins_with_
             return 1.5, 0.0
         if s > 10.0:
             return s - 8.5, 1.0
-        ahead = Leg(leader.start_ns + 10 * S, 1.5, 1.0)
+        ahead = LeaderPosition(leader.start_ns + 10 * S, 1.5, 1.0)
         leader.following.lead(ahead, leader.next_ns)
         return None
 

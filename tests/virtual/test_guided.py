@@ -23,7 +23,7 @@ from lss_motion.playing.player.events import Phase
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.runner import run
 from lss_motion.robot.load import load_robot
-from lss_motion.sim.hand import Hand
+from lss_motion.sim.hand import HandMotion
 from lss_motion.system.clock import VirtualClock
 
 ROBOT = """\
@@ -66,7 +66,7 @@ class AnsweringPerson:
 def calibrated(robot, *answers):
     """Let a hand bring joint a to 12 deg at 3 s, and push it to 4 deg at 5 s."""
     times_s = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 9.0])
-    hand = Hand(times_s, {"a": np.array([0.0, 0.0, 12.0, 12.0, 4.0, 4.0])})
+    hand = HandMotion(times_s, {"a": np.array([0.0, 0.0, 12.0, 12.0, 4.0, 4.0])})
     clock = VirtualClock()
     person = AnsweringPerson(Calibration(robot, robot.joints["a"]), *answers)
     with connect(robot.buses, robot=robot, clock=clock, hand=hand) as connection:

@@ -20,7 +20,7 @@ from lss_motion.playing.runner import run
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.hand import Hand, hand_from_seed
+from lss_motion.sim.hand import HandMotion, hand_from_seed
 from lss_motion.system.clock import VirtualClock
 from lss_motion.units import NS_PER_S, ns_from_s
 from tests.tables import first_quick
@@ -158,7 +158,7 @@ def test_a_soft_joint_stays_where_it_was_pushed(tmp_path) -> None:
     """It holds all the time, and is told to hold anew where it is."""
     robot = load_robot(ARM)
     times_s = np.array([0.0, 1.0, 3.0, 10.0])
-    hand = Hand(times_s, {"base": np.array([0.0, 0.0, 40.0, 40.0])})
+    hand = HandMotion(times_s, {"base": np.array([0.0, 0.0, 40.0, 40.0])})
     take = Take(("base",))
     hands_on = HandsOn(robot, ["base"], is_soft=True)
 

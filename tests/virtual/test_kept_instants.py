@@ -17,7 +17,7 @@ from lss_motion.errors import InputError
 from lss_motion.playing.player.estimators import LAG_MAX_S
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.query_tracker import GRACE_NS
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.units import NS_PER_S, US_PER_S, ns_from_s
 
@@ -108,7 +108,7 @@ def check(player, now_ns, seen):
 
 def trim(player, now_ns):
     if player.show is not None:
-        player.follow(Leg(now_ns, player.show.show_s(now_ns) + 0.005, 1.0), now_ns)
+        player.follow(LeaderPosition(now_ns, player.show.show_s(now_ns) + 0.005, 1.0), now_ns)
 
 
 def seek_to(show_s):

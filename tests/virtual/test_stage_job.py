@@ -102,8 +102,8 @@ def test_a_client_triggers_enables_and_stops_a_stage_and_sees_all_of_it(planned)
     steering, end = play(planned, [
         (3.0, s.Trigger(id=1, kind="http", address="door", source="10.0.0.7")),
         (9.0, s.Enable(id=2, cue="button", is_enabled=False)),
-        (9.5, s.Cue(id=3, label="button")),
-        (10.0, s.Cue(id=4, label="buton")),
+        (9.5, s.FireCue(id=3, label="button")),
+        (10.0, s.FireCue(id=4, label="buton")),
         (11.0, m.Rate(id=5, ratio=0.5)),
         (13.0, s.StageRest(id=6)),
         (16.0, s.StageWake(id=7)),
@@ -148,7 +148,7 @@ def test_what_waits_as_the_stage_ends_is_noted(tmp_path):
         queued = text.replace("door}, play: hello", "door}, play: hello, start: queue")
         (tmp_path / f"{name}.yaml").write_text(queued)
     steering = Scripted([
-        (5.0, s.Cue(id=1, label="button")), (5.5, s.Cue(id=2, label="door")),
+        (5.0, s.FireCue(id=1, label="button")), (5.5, s.FireCue(id=2, label="door")),
         (5.7, m.Stop(id=3)),
     ])  # fmt: skip
     planned = plan_stage(load_stage(tmp_path / "stage.yaml"))

@@ -15,7 +15,7 @@ from lss_motion.playing.player.events import CueReached, Waited
 from lss_motion.protocol.table import Suffix
 from lss_motion.robot.model import Sensor
 from lss_motion.robot.on_fault import Cause
-from lss_motion.show.model import Cue, Keyframe, Sequence, Step, Wait
+from lss_motion.show.model import Cue, Keyframe, PlaylistStep, Sequence, Wait
 from lss_motion.sim.boards import SENSORS
 from lss_motion.sim.faults import Fault, FaultKind
 
@@ -40,7 +40,11 @@ def part(from_deg, to_deg):
 
 
 def show(wait=NEAR, *, loop=1):
-    steps = (Step(sequence=part(0.0, 40.0)), Step(wait=wait), Step(sequence=part(40.0, 0.0)))
+    steps = (
+        PlaylistStep(sequence=part(0.0, 40.0)),
+        PlaylistStep(wait=wait),
+        PlaylistStep(sequence=part(40.0, 0.0)),
+    )
     return Sequence(name="show", play=steps, loop=loop)
 
 
@@ -95,9 +99,9 @@ def sway():
 @pytest.mark.parametrize("loop", [1, 2])
 def test_idle_motion_is_played_while_it_waits_and_left_at_its_end(stage, kit, loop):
     steps = (
-        Step(sequence=part(0.0, 40.0)),
-        Step(wait=NEAR, sequence=sway()),
-        Step(sequence=part(40.0, 0.0)),
+        PlaylistStep(sequence=part(0.0, 40.0)),
+        PlaylistStep(wait=NEAR, sequence=sway()),
+        PlaylistStep(sequence=part(40.0, 0.0)),
     )
     idle = Sequence(name="show", play=steps, loop=loop)
     faults = [sees(250, 0.1), sees(60, 11.0)]
@@ -133,9 +137,9 @@ def swaying(**fields):
     """Return the show whose idle motion says something at each swing."""
     idle = replace(sway(), events=(Cue(at_s=0.8, say="hm"),))
     steps = (
-        Step(sequence=part(0.0, 40.0)),
-        Step(wait=NEAR, sequence=idle),
-        Step(sequence=part(40.0, 0.0)),
+        PlaylistStep(sequence=part(0.0, 40.0)),
+        PlaylistStep(wait=NEAR, sequence=idle),
+        PlaylistStep(sequence=part(40.0, 0.0)),
     )
     return Sequence(name="show", play=steps, **fields)
 
@@ -193,7 +197,7 @@ def test_a_person_may_stop_idle_motion(stage, kit):
 
 
 def test_a_program_with_idle_motion_is_read_as_it_was_written(kit):
-    steps = (Step(sequence=part(0.0, 40.0)), Step(wait=NEAR, sequence=sway()))
+    steps = (PlaylistStep(sequence=part(0.0, 40.0)), PlaylistStep(wait=NEAR, sequence=sway()))
     own = robot(kit)
     program = api.compile(api.plan(Sequence(name="show", play=steps), own), own)
     assert program.waits[0].back_s > 1.6

@@ -22,7 +22,7 @@ from benches.table import Row, core_seconds
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.player.following import SLOW_RATE, Following, FollowRule
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
@@ -259,7 +259,7 @@ class Told:
         while self._index < len(self._follows) and self._follows[self._index][0] <= now_ns:
             follow = self._follows[self._index][1]
             self._index += 1
-            leg = Leg(follow.instant_ns - self._began_ns, follow.show_s, follow.rate)
+            leg = LeaderPosition(follow.instant_ns - self._began_ns, follow.show_s, follow.rate)
             self.following.lead(leg, now_ns)
         self.following.turn(player, now_ns)
 

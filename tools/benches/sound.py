@@ -17,7 +17,7 @@ import numpy as np
 import lss_motion as lss
 from benches.sound_recorder import RATE_HZ, Recorder, missing, sound_server
 from benches.table import Row
-from lss_motion.playing.player.show_clock import Leg, ShowClock
+from lss_motion.playing.player.show_clock import LeaderPosition, ShowClock
 from lss_motion.playing.run import Observer, perform
 from lss_motion.sound.device import DeviceClock
 from lss_motion.sound.mixer import Mixer, Voice
@@ -157,7 +157,7 @@ def hour_off_s(ppm: float, *, seconds: float = 3600.0, block: int = 4096) -> flo
         now_ns = round(heard_ns) - 30_000_000
         if mixer.lead is not None:
             at_ns, show_s, rate = mixer.lead
-            show.follow(Leg(round(at_ns), show_s, rate * device.rate_ratio), now_ns)
+            show.follow(LeaderPosition(round(at_ns), show_s, rate * device.rate_ratio), now_ns)
         if heard_ns > START_NS + 2e9:
             off_s = float(sample) * span_s - show.show_s(round(heard_ns)) % span_s
             off_s = (off_s + span_s / 2.0) % span_s - span_s / 2.0

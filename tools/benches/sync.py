@@ -17,7 +17,7 @@ from benches.table import Row
 from lss_motion.planning import shows
 from lss_motion.playing.api import with_port
 from lss_motion.playing.player.events import Phase
-from lss_motion.playing.player.following import Following, FollowRule, Step
+from lss_motion.playing.player.following import Following, FollowingStep, FollowRule
 from lss_motion.playing.player.show_clock import ShowClock
 from lss_motion.playing.run import Observer, perform
 from lss_motion.stage.timecode import chase
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.playing.player.player import Player
-    from lss_motion.playing.player.show_clock import Leg
+    from lss_motion.playing.player.show_clock import LeaderPosition
     from lss_motion.playing.report import TimingReport
 
 RATE_HZ = 48000
@@ -82,7 +82,7 @@ class Tape:
         style: chase.Style = chase.LTC,
     ) -> None:
         self.following = Following(FollowRule(freewheel_s=5.0))
-        self.off: list[tuple[float, float, Step]] = []
+        self.off: list[tuple[float, float, FollowingStep]] = []
         self._left, self._leader_s = iter(observations), leader_s
         self._next = next(self._left, None)
         self._chase = Chase(style, freewheel_s=5.0)
@@ -107,8 +107,8 @@ class Tape:
             off_s = player.show.show_s(now_ns) - self._leader_s(seconds)
             self.off.append((seconds, off_s, self.following.step))
 
-    def errors_s(self, from_s: float, to_s: float, *steps: Step) -> np.ndarray:
-        chosen = steps or (Step.RUNNING,)
+    def errors_s(self, from_s: float, to_s: float, *steps: FollowingStep) -> np.ndarray:
+        chosen = steps or (FollowingStep.RUNNING,)
         return np.array(
             [
                 abs(off_s)
@@ -149,8 +149,10 @@ def _ltc_rows() -> list[Row]:
 
     tape = Tape(kept, leader_s)
     follow(tape)
-    back_s = next(s for s, _, step in tape.off if s > jump_at_s + 0.5 and step is Step.RUNNING)
-    gap = (Step.FREEWHEELING, Step.RUNNING)
+    back_s = next(
+        s for s, _, step in tape.off if s > jump_at_s + 0.5 and step is FollowingStep.RUNNING
+    )
+    gap = (FollowingStep.FREEWHEELING, FollowingStep.RUNNING)
     return [
         row("LTC, locked, noise 5 %, 100 ppm", tape.errors_s(5.0, 9.9), "p99 2 ms", GOAL_S),
         Row(what="jump of 4 s: out of step for", ours=f"{back_s - jump_at_s:.2f} s"),
@@ -177,7 +179,7 @@ def _hour_row() -> Row:
     """Return the error over an hour, with a leader between -100 and +100 ppm."""
     luck = np.random.default_rng(2)
     chased, clock, errors_s = Chase(chase.LTC), None, []
-    leg: Leg | None = None
+    leg: LeaderPosition | None = None
     position_s = 0.0
     for number in range(3600 * 25):
         now_s = number / 25.0

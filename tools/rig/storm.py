@@ -14,7 +14,7 @@ import threading
 import time
 from random import Random
 
-from lss_motion.playing.remote.stage_messages import Cue
+from lss_motion.playing.remote.stage_messages import FireCue
 from lss_motion.stage.hosts.messages import Ask, ClockQuestion, FigureStatus, packed
 from lss_motion.stage.hosts.peer import NetworkSettings, Peer
 
@@ -61,7 +61,9 @@ def content(random: Random) -> bytes:
     if kind == 1:
         return packed(ClockQuestion(asked_ns=random.randrange(-(1 << 61), 1 << 61)))
     if kind == 2:
-        return packed(Ask(operation=Cue(label="x"), number=random.randrange(9), instance="0" * 16))
+        return packed(
+            Ask(operation=FireCue(label="x"), number=random.randrange(9), instance="0" * 16)
+        )
     status = FigureStatus(
         figure=random.choice(("f1", "f9")), instance="0" * 16, version="", state="idle",
         epoch=0, run=0, robot="0" * 64,

@@ -87,7 +87,7 @@ class Believed(NamedTuple):
     """Standard errors of angle (deg) and speed (deg/s) of a profile in mid-move."""
 
 
-class _Piece(NamedTuple):
+class _ScoredMoves(NamedTuple):
     """Moves `first` to `last` (not included), scored between two instants."""
 
     first: int
@@ -204,7 +204,7 @@ def _profile(joint: Joint, believed: Believed, position_deg: float) -> Profile:
     )
 
 
-def _cut(recording: ShowRecording, states: Sequence[_State]) -> Iterator[_Piece]:
+def _cut(recording: ShowRecording, states: Sequence[_State]) -> Iterator[_ScoredMoves]:
     """Yield the pieces of a show, of `PIECE_S` or up to a break."""
     moves, breaks_s = recording.moves, np.array([*recording.breaks_s, math.inf])
     after = np.searchsorted(breaks_s, [move.received_s for move in moves])
@@ -222,7 +222,7 @@ def _cut(recording: ShowRecording, states: Sequence[_State]) -> Iterator[_Piece]
             if states[first].is_rest or begin - first >= WARM_MOVES:
                 break
             first -= 1
-        yield _Piece(first, index, moves[begin].received_s, float(until_s))
+        yield _ScoredMoves(first, index, moves[begin].received_s, float(until_s))
         begin = index
 
 

@@ -234,7 +234,7 @@ def make_trials(
             f"should stand, which leaves no room inside {window.room_deg:.1f} deg. Take the load "
             f"off, or give a larger --span-deg"
         )
-    planner = _Planner(joint, low_deg, high_deg, standing_deg, top_deg_s)
+    planner = _TrialPlanner(joint, low_deg, high_deg, standing_deg, top_deg_s)
     return list(planner.trials())
 
 
@@ -243,7 +243,7 @@ def estimated_duration_s(trials: Sequence[TrialPlan]) -> float:
     return sum(trial.end_s + SETTLE_S for trial in trials)
 
 
-class _Planner:
+class _TrialPlanner:
     """Makes the trials between two angles."""
 
     def __init__(

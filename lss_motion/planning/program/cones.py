@@ -115,7 +115,7 @@ def open_cones(references: References, starts: Starts, rows: int, stride: int, b
 
     The rows are computed `block` by block, and only for the cones that are still open.
     """
-    cones, count = _Cones(references, starts), len(starts.joint)
+    cones, count = _GrowingCones(references, starts), len(starts.joint)
     every = np.empty((rows, 2, count), dtype=np.float32)
     held = cones.fill(every[:block], 0, stride)
     some, still = np.arange(count), np.flatnonzero(held == block)
@@ -131,7 +131,7 @@ def open_cones(references: References, starts: Starts, rows: int, stride: int, b
     return Cones(every, starts.speed_deg_s, held)
 
 
-class _Cones:
+class _GrowingCones:
     """Cones under construction: where they begin, and the sides that they have reached."""
 
     def __init__(self, references: References, starts: Starts) -> None:
@@ -145,9 +145,9 @@ class _Cones:
         self._columns = position, speed, room, ramp
         self._least = np.stack((-speed_max - speed, speed - speed_max))
 
-    def after(self, sides: SingleArray, servos: IntArray, chosen: IntArray) -> _Cones:
+    def after(self, sides: SingleArray, servos: IntArray, chosen: IntArray) -> _GrowingCones:
         """Return the `chosen` cones, whose `servos` have reached `sides`."""
-        some = object.__new__(_Cones)
+        some = object.__new__(_GrowingCones)
         some._references = self._references
         some._joint, some._first = self._joint[chosen], self._first[chosen]
         some._after_s = np.broadcast_to(self._after_s, self._joint.shape)[chosen]

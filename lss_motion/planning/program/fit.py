@@ -76,7 +76,7 @@ def microseconds(times_s: FloatArray) -> IntArray:
     return whole
 
 
-class _Rows(Struct, frozen=True):
+class _SegmentRows(Struct, frozen=True):
     """The segments under way, a row each. `travel_deg_s` belongs to the move at `state`."""
 
     segment: IntArray
@@ -84,8 +84,8 @@ class _Rows(Struct, frozen=True):
     travel_deg_s: FloatArray
     requested_s: FloatArray
 
-    def take(self, chosen: BoolArray) -> _Rows:
-        return _Rows(
+    def take(self, chosen: BoolArray) -> _SegmentRows:
+        return _SegmentRows(
             self.segment[chosen],
             self.state.take(chosen),
             self.travel_deg_s[chosen],
@@ -93,8 +93,8 @@ class _Rows(Struct, frozen=True):
         )
 
 
-def _concatenated(one: _Rows, other: _Rows) -> _Rows:
-    return _Rows(
+def _concatenated(one: _SegmentRows, other: _SegmentRows) -> _SegmentRows:
+    return _SegmentRows(
         np.concatenate((one.segment, other.segment)),
         concatenated_states(one.state, other.state),
         np.concatenate((one.travel_deg_s, other.travel_deg_s)),
@@ -161,13 +161,13 @@ class SegmentRun:
                 rows = _concatenated(rows.take(~is_next), self._advanced(rows.take(is_next)))
         return concatenated(self._made), np.concatenate(self._of)
 
-    def _entered(self, segment: IntArray) -> _Rows:
+    def _entered(self, segment: IntArray) -> _SegmentRows:
         """Return segments that wait for their first move; they have no travel speed yet."""
         none = np.full(len(segment), np.nan)
         requested_s = self._departures_s(segment) if len(segment) else np.zeros(0)
-        return _Rows(segment, States(self._after_s[segment], none, none), none, requested_s)
+        return _SegmentRows(segment, States(self._after_s[segment], none, none), none, requested_s)
 
-    def _advanced(self, rows: _Rows) -> _Rows:
+    def _advanced(self, rows: _SegmentRows) -> _SegmentRows:
         """Reserve slots for the next moves, quantize those under way, choose the moves after."""
         in_turn = np.argsort(rows.requested_s, kind="stable")
         granted_us = self._grant(
@@ -194,7 +194,7 @@ class SegmentRun:
                 position[row], speed[row] = state.position_deg, state.speed_deg_s
         return States(granted_s, position, speed)
 
-    def _quantized(self, rows: _Rows, granted_s: FloatArray) -> States:
+    def _quantized(self, rows: _SegmentRows, granted_s: FloatArray) -> States:
         """Quantize the moves under way; the instants of their successors are known now."""
         limits = self._limits.take(self._joint[rows.segment])
         wire, duration_ms, travel = quantized(rows.state, rows.travel_deg_s, granted_s, limits)
@@ -274,7 +274,7 @@ class SegmentRun:
             every.put(chosen, found)
         return every
 
-    def _settled(self, segment: IntArray, state: States) -> _Rows:
+    def _settled(self, segment: IntArray, state: States) -> _SegmentRows:
         """Land the segments that can land, end those at the end; choose how the others continue."""
         joint, first = self._joint[segment], self._references.first_index(state.time_s)
         limits = self._limits.take(joint)
@@ -296,7 +296,7 @@ class SegmentRun:
                 landings.travel_deg_s[lands],
             )
         goes_on = ~lands & (state.time_s < self._references.end_s)
-        return _Rows(segment, state, found.speed_deg_s, found.requested_s).take(goes_on)
+        return _SegmentRows(segment, state, found.speed_deg_s, found.requested_s).take(goes_on)
 
     def _braking_s(self, segment: IntArray, state: States, limits: LimitArrays) -> FloatArray:
         """Return how long a landing brakes at most: before that, it is a move like any other.

@@ -223,7 +223,7 @@ def from_text(text: str, robot: Robot, *, path: Path | None = None) -> Program:
     addressed to a servo that the robot does not have.
     """
     _check_first_line(text, path)
-    reader = _Reader(robot, path)
+    reader = _ProgramReader(robot, path)
     for number, line in enumerate(text.splitlines()[1:], start=2):
         reader.read(number, line)
     return reader.program()
@@ -235,7 +235,7 @@ def _check_first_line(text: str, path: Path | None) -> None:
         raise InputError(f"not a program: the first line must be `{FIRST_LINE}`", path=path, line=1)
 
 
-class _Reader:
+class _ProgramReader:
     """Collects the lines of one program."""
 
     def __init__(self, robot: Robot, path: Path | None) -> None:

@@ -151,7 +151,7 @@ class _RateJumpError(Exception):
     """A window would begin at a lower rate than the motion before it has."""
 
 
-class _Place(Struct, frozen=True):
+class _SweepPlace(Struct, frozen=True):
     """Where the sweep is, how late, and how many windows it has found."""
 
     at_s: float
@@ -229,10 +229,10 @@ class _Sweep:
                 self._hurry(missed_s)
         return self.found
 
-    def _place(self) -> _Place:
-        return _Place(self.at_s, self.late_s, tuple(self.found))
+    def _place(self) -> _SweepPlace:
+        return _SweepPlace(self.at_s, self.late_s, tuple(self.found))
 
-    def _return_to(self, place: _Place) -> None:
+    def _return_to(self, place: _SweepPlace) -> None:
         self.at_s, self.late_s, self.found = place.at_s, place.late_s, list(place.found)
 
     def _window_at(self, at_s: float) -> RateWindow | None:

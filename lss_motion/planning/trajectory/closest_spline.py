@@ -163,14 +163,14 @@ class Closest(Struct, frozen=True):
 
 def closest(wanted: Wanted, bounds: Bounds) -> Closest | None:
     """Return the motion closest to `wanted` within `bounds`; None if no motion has all ties."""
-    rows = _Rows(wanted, bounds)
+    rows = _ProblemRows(wanted, bounds)
     while True:
         found = _solved(wanted, rows)
         if found is None or not rows.add_missing(found.coefficients):
             return found
 
 
-class _Rows:
+class _ProblemRows:
     """The rows of the problem: limits, of which those that cannot bind are left out, and ties."""
 
     def __init__(self, wanted: Wanted, bounds: Bounds) -> None:
@@ -274,7 +274,7 @@ def _differences(count: int, order: int) -> Any:  # noqa: ANN401  scipy is untyp
     )
 
 
-def _quadratic(wanted: Wanted, rows: _Rows) -> tuple[Any, FloatArray]:
+def _quadratic(wanted: Wanted, rows: _ProblemRows) -> tuple[Any, FloatArray]:
     """Return the upper half of P and q of the cost c'Pc / 2 + q'c, divided by `cell_s`."""
     from scipy import sparse
 
@@ -303,7 +303,7 @@ def _quadratic(wanted: Wanted, rows: _Rows) -> tuple[Any, FloatArray]:
     return sparse.csc_matrix(sparse.triu(banded + square)), linear
 
 
-def _solved(wanted: Wanted, rows: _Rows) -> Closest | None:
+def _solved(wanted: Wanted, rows: _ProblemRows) -> Closest | None:
     """Return the solution with the rows that are given; None if there is none."""
     from scipy import sparse
 

@@ -132,7 +132,7 @@ def carried_out(
     until_s = [*left_s[moves[1:]].tolist(), end_s]
     refused: set[int] = set()
     while True:
-        servo, last, before = _Servo(joint), -1, len(refused)
+        servo, last, before = _CommandedServo(joint), -1, len(refused)
         for move, next_s in zip(moves, until_s, strict=True):
             from_s, to_s = float(left_s[move]), float(reached_s[move + 1])
             if not is_command[move]:
@@ -148,7 +148,7 @@ def carried_out(
             return servo.carried_out()
 
 
-class _Command(NamedTuple):
+class _ReceivedCommand(NamedTuple):
     """A command of the author as the servo receives it. `off_deg`: see `CarriedOut`."""
 
     move: int
@@ -158,7 +158,7 @@ class _Command(NamedTuple):
     off_deg: float
 
 
-class _Servo:
+class _CommandedServo:
     """The profile of a servo in joint degrees, command by command."""
 
     def __init__(self, joint: Joint) -> None:
@@ -169,8 +169,8 @@ class _Servo:
         """Each with its end and the coefficient of its cube."""
         self._rest_s = -math.inf
         self._covered: list[int] = []
-        self._commands: list[_Command] = []
-        self._left_out: list[_Command] = []
+        self._commands: list[_ReceivedCommand] = []
+        self._left_out: list[_ReceivedCommand] = []
 
     def rests(self, at_s: float) -> bool:
         return self._rest_s <= at_s + 0.5 * 10.0**-PATH_DECIMALS
@@ -211,7 +211,9 @@ class _Servo:
             self._pieces.append((Piece(self._rest_s, target_deg, 0.0, 0.0), to_s, 0.0))
         elif not is_possible and not self.rests(to_s):
             off_deg = target_deg - self._state(to_s).position_deg
-        self._commands.append(_Command(move, start.start_s, target_deg, duration_s, off_deg))
+        self._commands.append(
+            _ReceivedCommand(move, start.start_s, target_deg, duration_s, off_deg)
+        )
         return True
 
     def _leave_out(self, move: int, span_s: tuple[float, float, float], target_deg: float) -> bool:
@@ -221,7 +223,7 @@ class _Servo:
             return False
         off_deg = target_deg - self._state(to_s).position_deg
         self._covered.append(move)
-        self._left_out.append(_Command(move, from_s, target_deg, 0.0, off_deg))
+        self._left_out.append(_ReceivedCommand(move, from_s, target_deg, 0.0, off_deg))
         return True
 
     def _sure(self, start: Piece, target_deg: float, next_s: float) -> Piece:

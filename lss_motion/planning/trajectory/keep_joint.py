@@ -92,7 +92,7 @@ NAMED_MAX: Final = 3
 """Keys that an error names; the others are counted."""
 
 
-class Grid(Struct, frozen=True, kw_only=True):
+class PassGrid(Struct, frozen=True, kw_only=True):
     """The cells that all joints share, over all passes that differ."""
 
     cell_s: float
@@ -104,7 +104,7 @@ class Grid(Struct, frozen=True, kw_only=True):
     """Two instants at which angle and speed must be equal, because the part between is looped."""
 
     @classmethod
-    def of(cls, layout: Layout) -> Grid:
+    def of(cls, layout: Layout) -> PassGrid:
         length_s = layout.spacing.length_s
         cells = max(1, math.ceil(length_s / CELL_S - 1e-9))
         passes = len(layout.paths)
@@ -144,7 +144,7 @@ class KeyAsked(Struct, frozen=True, kw_only=True):
     """The joint turns or stays here."""
 
 
-class Asked(Struct, frozen=True, kw_only=True):
+class AskedMotion(Struct, frozen=True, kw_only=True):
     """The motion of one joint as the author asks for it: a column of a path."""
 
     path: Path
@@ -163,7 +163,7 @@ class Asked(Struct, frozen=True, kw_only=True):
         return float(c1 + local_s * (2.0 * c2 + 3.0 * local_s * c3))
 
 
-class Window(Struct, frozen=True, kw_only=True):
+class CellWindow(Struct, frozen=True, kw_only=True):
     """The cells from `first` to `end` and the motion in them."""
 
     first: int
@@ -181,8 +181,8 @@ class JointFollower:
         *,
         name: str,
         bounds: Bounds,
-        asked: Asked,
-        grid: Grid,
+        asked: AskedMotion,
+        grid: PassGrid,
         keys: Sequence[KeyAsked],
         source: str,
         own_s: Sequence[tuple[float, float]] = (),
@@ -194,11 +194,11 @@ class JointFollower:
         self._walls = [
             (int((from_s - STILL_S) / cell_s), math.ceil(to_s / cell_s)) for from_s, to_s in own_s
         ]
-        self._windows: dict[tuple[int, int], Window] = {}
+        self._windows: dict[tuple[int, int], CellWindow] = {}
         self._spans: list[tuple[int, int]] = []
 
     @property
-    def windows(self) -> list[Window]:
+    def windows(self) -> list[CellWindow]:
         """The windows in order; outside of them the motion is the one that is asked for."""
         return [self._windows[span] for span in self._spans]
 
@@ -424,13 +424,13 @@ class JointFollower:
             time_s=key.at_s,
         )
 
-    def _window(self, span: tuple[int, int], wanted: Wanted, found: Closest) -> Window:
+    def _window(self, span: tuple[int, int], wanted: Wanted, found: Closest) -> CellWindow:
         first, end = span
         coefficients = found.coefficients
         given = sum(
             coefficients[k : k + end - first, None] * basis(GAUSS_SHARES)[:, k] for k in range(4)
         )
-        return Window(
+        return CellWindow(
             first=first,
             end=end,
             cubics=found.cubics(self.grid.cell_s),

@@ -22,10 +22,10 @@ from lss_motion.planning.trajectory.keep_joint import (
     CELL_S,
     GIVEN_UP_MIN_DEG,
     KNOT_MIN_S,
-    Asked,
-    Grid,
+    AskedMotion,
     JointFollower,
     KeyAsked,
+    PassGrid,
 )
 from lss_motion.planning.trajectory.keys import SAME_ANGLE_DEG, SAME_INSTANT_S, is_timed, named
 from lss_motion.planning.trajectory.model import (
@@ -103,7 +103,7 @@ def time_kept(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Traject
     if sequence.loop == 1:
         length_s = layout.spacing.length_s
         own_s = {n: commands_of(layout.keys[n], robot.joints[n], length_s).spans_s for n in names}
-    path, grid = concatenate(layout.paths), Grid.of(layout)
+    path, grid = concatenate(layout.paths), PassGrid.of(layout)
     joints = _followed(path, names, robot, grid, keys, show=sequence, own_s=own_s)
     trajectory = replace(_assembled(layout, joints), smoothing=_smoothing(sequence, names, robot))
     return verified(trajectory, sequence, robot)
@@ -117,7 +117,7 @@ def _followed(
     path: Path,
     names: tuple[str, ...],
     robot: Robot,
-    grid: Grid,
+    grid: PassGrid,
     keys: Sequence[tuple[KeyAsked, ...]],
     *,
     show: Show,
@@ -139,7 +139,7 @@ def _followed(
         follower = JointFollower(
             name=name,
             bounds=bounds,
-            asked=Asked(path=path, column=column),
+            asked=AskedMotion(path=path, column=column),
             grid=grid,
             keys=own_keys,
             source="" if show.path is None else str(show.path),
@@ -325,13 +325,13 @@ def sum_kept(
 
     `names` are the columns of the path, `marks` the keyframes along it: exact ones are met.
     """
-    asked = [Asked(path=path, column=column) for column in range(len(names))]
+    asked = [AskedMotion(path=path, column=column) for column in range(len(names))]
     keys = [
         tuple(_marked_key(own, mark) for mark in marks if name in mark.kept)
         for name, own in zip(names, asked, strict=True)
     ]
     cells = max(1, math.ceil(path.length_s / CELL_S - 1e-9))
-    grid = Grid(cell_s=path.length_s / cells, cells=cells, seams=(), is_looped=False, tied=None)
+    grid = PassGrid(cell_s=path.length_s / cells, cells=cells, seams=(), is_looped=False, tied=None)
     joints = _followed(path, names, robot, grid, keys, show=show)
     united_path = united([joint.pieces() for joint in joints], np.zeros(1), joints[0].end_s)
     motion = PathMotion(path=united_path, clock=steady_clock(path.length_s))
@@ -350,7 +350,7 @@ def sum_kept(
     return trajectory
 
 
-def _marked_key(asked: Asked, mark: Mark) -> KeyAsked:
+def _marked_key(asked: AskedMotion, mark: Mark) -> KeyAsked:
     """Return the key of a joint at a keyframe of a sum; the sum gives its angle."""
     at_s = mark.planned_s if mark.authored_s is None else mark.authored_s
     return KeyAsked(

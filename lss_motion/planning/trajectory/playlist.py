@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Robot
-    from lss_motion.show.model import Step, Wait
+    from lss_motion.show.model import PlaylistStep, Wait
 
     FloatArray = NDArray[np.float64]
     from collections.abc import Iterator
@@ -181,7 +181,7 @@ def planned_play_list(
 
 
 def _planned(
-    step: Step, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
+    step: PlaylistStep, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
 ) -> tuple[Trajectory | None, int]:
     """Return the plan of a step and how often it is played."""
     sequence = step.sequence

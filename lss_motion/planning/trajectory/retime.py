@@ -308,7 +308,7 @@ def _widen(
         segment += step
 
 
-class _Pieces:
+class _ClockPieces:
     """Collects the pieces of a clock in order."""
 
     def __init__(self) -> None:
@@ -370,7 +370,7 @@ def authored_clock(
         bounds_s = np.union1d(edges_s, ends_s)
         is_resting = is_resting[np.searchsorted(edges_s, bounds_s, side="right") - 1]
         edges_s = bounds_s
-    pieces = _Pieces()
+    pieces = _ClockPieces()
     pass_start_s = reached_s = 0.0
     for (from_s, to_s), rests in zip(
         itertools.pairwise(edges_s.tolist()), is_resting.tolist(), strict=False
@@ -389,7 +389,7 @@ def authored_clock(
     return pieces.clock(float(path.knots_s[-1]))
 
 
-def _rest(pieces: _Pieces, rest: tuple[float, float], dues: Dues, pass_start_s: float) -> None:
+def _rest(pieces: _ClockPieces, rest: tuple[float, float], dues: Dues, pass_start_s: float) -> None:
     """Rest until the motion is no longer late, at least as long as it is held."""
     cuts_s = np.array(rest)
     if pieces.now_s - (float(dues.authored(cuts_s[:1])[0]) + pass_start_s) > SAME_INSTANT_S:
@@ -408,7 +408,7 @@ def stopping_clock(
     windows: Sequence[RateWindow], pauses_s: Mapping[float, float], end_s: float
 ) -> PathClock:
     """Return the clock that follows `windows` and stops at the path positions in `pauses_s`."""
-    pieces = _Pieces()
+    pieces = _ClockPieces()
     for window in windows:
         _pause(pieces, float(window.grid_s[0]), pauses_s)
         pieces.follow(window)
@@ -416,7 +416,7 @@ def stopping_clock(
     return pieces.clock(end_s)
 
 
-def _pause(pieces: _Pieces, at_s: float, pauses_s: Mapping[float, float]) -> None:
+def _pause(pieces: _ClockPieces, at_s: float, pauses_s: Mapping[float, float]) -> None:
     if (pause_s := pauses_s.get(at_s, 0.0)) > 0.0:
         pieces.go(at_s, at_s, pause_s)
 

@@ -178,7 +178,7 @@ class _SeamError(Exception):
 
 
 @dataclass(slots=True)
-class _Found:
+class _SmoothedPlan:
     """A smoothed plan, with the largest jerk of each joint and the error of each passed key."""
 
     trajectory: Trajectory
@@ -269,7 +269,7 @@ class _Rounds:
         """Return the longest distance of knots."""
         return min(float(self.windows_s[self.windows_s > 0.0].min()) / STEPS_PER_WINDOW, STEP_MAX_S)
 
-    def _planned(self) -> _Found:
+    def _planned(self) -> _SmoothedPlan:
         """Return the plan with the present windows and shifts, smoothed."""
         step_s = self._step_s()
         half_s = dict(
@@ -297,7 +297,7 @@ class _Rounds:
             ],
             axis=0,
         )
-        return _Found(trajectory, jerk / JERK_SLACK, self._key_errors_deg(trajectory))
+        return _SmoothedPlan(trajectory, jerk / JERK_SLACK, self._key_errors_deg(trajectory))
 
     def _key_errors_deg(self, trajectory: Trajectory) -> dict[tuple[str, int], float]:
         """Return the error of each key that is passed in motion.
@@ -325,7 +325,7 @@ class _Rounds:
                 errors_deg[name, key.index] = error_deg
         return errors_deg
 
-    def _explained(self, found: _Found) -> Trajectory:
+    def _explained(self, found: _SmoothedPlan) -> Trajectory:
         """Return the plan with what smoothing cost, and without times that are not the author's."""
         plain, trajectory = self.plain, found.trajectory
         errors_deg = dict.fromkeys(plain.joints, 0.0)

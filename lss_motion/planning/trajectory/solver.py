@@ -179,32 +179,34 @@ class RateWindow(Struct, frozen=True):
         return float(self.spent_s.sum())
 
 
-class _Grid(Struct, frozen=True):
+class _CellGrid(Struct, frozen=True):
     """Consecutive cells: the segment of each, and the share of the limits that it may use."""
 
     points_s: FloatArray
     segments: NDArray[np.intp]
     shares: FloatArray
 
-    def part(self, low: int, high: int) -> _Grid:
+    def part(self, low: int, high: int) -> _CellGrid:
         """Return the cells from `low` to before `high`."""
-        return _Grid(self.points_s[low : high + 1], self.segments[low:high], self.shares[low:high])
+        return _CellGrid(
+            self.points_s[low : high + 1], self.segments[low:high], self.shares[low:high]
+        )
 
-    def with_points(self, more_s: FloatArray) -> _Grid:
+    def with_points(self, more_s: FloatArray) -> _CellGrid:
         """Return the grid with further points inside of its cells."""
         cells = np.searchsorted(self.points_s, more_s) - 1
-        return _Grid(
+        return _CellGrid(
             np.insert(self.points_s, cells + 1, more_s),
             np.insert(self.segments, cells, self.segments[cells]),
             np.insert(self.shares, cells, self.shares[cells]),
         )
 
-    def divided(self, counts: NDArray[np.intp]) -> _Grid:
+    def divided(self, counts: NDArray[np.intp]) -> _CellGrid:
         """Return the grid with each cell divided into its count of equal parts."""
         steps_s = np.repeat(np.diff(self.points_s) / counts, counts)
         within = np.arange(len(steps_s)) - np.repeat(np.cumsum(counts) - counts, counts)
         starts_s = np.repeat(self.points_s[:-1], counts) + within * steps_s
-        return _Grid(
+        return _CellGrid(
             np.append(starts_s, self.points_s[-1]),
             np.repeat(self.segments, counts),
             np.repeat(self.shares, counts),
@@ -245,7 +247,7 @@ def solve(
     return RateWindow(grid.points_s, squares)
 
 
-def _keep_margin(task: RateTask, grid: _Grid) -> None:
+def _keep_margin(task: RateTask, grid: _CellGrid) -> None:
     """Let the cells of a long window without authored times use less of the limits."""
     if task.rate_max == RATE_FREE and len(grid.segments) > MARGIN_CELLS:
         grid.shares[:] = MARGIN_RATIO
@@ -261,11 +263,11 @@ def is_legal(task: RateTask, window: RateWindow, first: int) -> bool:
     """Return whether the limits hold inside the cells of a window from grid point `first` on."""
     points_s = window.grid_s[first:]
     segments = task.path.segments_of(0.5 * (points_s[:-1] + points_s[1:]))
-    grid = _Grid(points_s, segments, np.ones(len(segments)))
+    grid = _CellGrid(points_s, segments, np.ones(len(segments)))
     return bool((_excess(task, grid, window.squares[first:]) <= REPAIR_RATIO).all())
 
 
-def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
+def _grid(task: RateTask, from_s: float, to_s: float) -> _CellGrid:
     """Return grid points between two positions, every knot among them."""
     path = task.path
     first = int(np.searchsorted(path.knots_s, from_s, side="right")) - 1
@@ -276,7 +278,7 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
     points_s = path.knots_s[first : end + 1].copy()
     points_s[[0, -1]] = from_s, to_s
     counts = np.maximum(np.ceil(counts * (np.diff(points_s) / lengths_s)), 1.0).astype(np.intp)
-    grid = _Grid(points_s, np.arange(first, end), np.ones(end - first)).divided(counts)
+    grid = _CellGrid(points_s, np.arange(first, end), np.ones(end - first)).divided(counts)
     if task.slow_s is not None:
         if task.shares is not None:
             grid.shares[:] = task.shares[grid.segments]
@@ -299,7 +301,7 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
     return grid
 
 
-def _graded(grid: _Grid, is_slow: NDArray[np.bool_]) -> _Grid:
+def _graded(grid: _CellGrid, is_slow: NDArray[np.bool_]) -> _CellGrid:
     """Return the grid with the slow cells nearest to knots divided further, the nearer the more."""
     counts = np.ones(len(is_slow), dtype=np.intp)
     is_first = np.diff(grid.segments, prepend=-1) > 0
@@ -312,7 +314,7 @@ def _graded(grid: _Grid, is_slow: NDArray[np.bool_]) -> _Grid:
     return grid.divided(np.where(is_slow, counts, 1))
 
 
-def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
+def _squares(task: RateTask, grid: _CellGrid, start_max: float, end_max: float) -> FloatArray:
     path, points_s, segments = task.path, grid.points_s, grid.segments
     caps = np.full(len(points_s), task.rate_max**2)
     for from_s, to_s in task.free_s.tolist():
@@ -358,7 +360,7 @@ def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> F
     return squares
 
 
-def _excess(task: RateTask, grid: _Grid, squares: FloatArray) -> FloatArray:
+def _excess(task: RateTask, grid: _CellGrid, squares: FloatArray) -> FloatArray:
     """Return for each cell the largest share of a limit that is used inside it."""
     steps_s = np.diff(grid.points_s)
     is_short = steps_s <= SHORT_CELL_S
@@ -375,7 +377,7 @@ def _excess(task: RateTask, grid: _Grid, squares: FloatArray) -> FloatArray:
 
 def _worst_use(
     task: RateTask,
-    grid: _Grid,
+    grid: _CellGrid,
     squares: FloatArray,
     cells: NDArray[np.intp],
     steps_s: FloatArray,
@@ -402,11 +404,11 @@ def _worst_use(
 
 def _repaired(
     task: RateTask,
-    grid: _Grid,
+    grid: _CellGrid,
     squares: FloatArray,
     excess: FloatArray,
     end_maxima: tuple[float, float],
-) -> tuple[_Grid, FloatArray, FloatArray]:
+) -> tuple[_CellGrid, FloatArray, FloatArray]:
     """Divide the worst cells, lower the limits of the others, and solve around both again."""
     is_split = excess > SPLIT_RATIO
     is_lowered = (excess > REPAIR_RATIO) & ~is_split
@@ -414,7 +416,7 @@ def _repaired(
         is_lowered, grid.shares * FEASIBLE_RATIO / np.maximum(excess, 1.0), grid.shares
     )
     counts = np.where(is_split, 2, 1)
-    divided = _Grid(grid.points_s, grid.segments, shares).divided(counts)
+    divided = _CellGrid(grid.points_s, grid.segments, shares).divided(counts)
     # Within a cell the square is linear, so that dividing a cell does not change the rates.
     start = np.interp(divided.points_s, grid.points_s, squares)
     is_new = np.repeat(is_split | is_lowered, counts)
@@ -425,13 +427,13 @@ def _repaired(
 
 def _with_reserves(
     task: RateTask, shares: FloatArray, known: RateWindow, end_maxima: tuple[float, float]
-) -> tuple[_Grid, FloatArray, FloatArray]:
+) -> tuple[_CellGrid, FloatArray, FloatArray]:
     """Return grid, squares and excess with the shares of acceleration of a task.
 
     `known` has the rates without them, or with higher ones; its cells hold the limits.
     """
     segments = task.path.segments_of(0.5 * (known.grid_s[:-1] + known.grid_s[1:]))
-    grid = _Grid(known.grid_s, segments, np.ones(len(segments)))
+    grid = _CellGrid(known.grid_s, segments, np.ones(len(segments)))
     _keep_margin(task, grid)
     has_reserve = np.any(shares < 1.0, axis=1)[segments]
     squares, excess = _resolved(task, grid, known.squares, has_reserve, end_maxima)
@@ -440,7 +442,7 @@ def _with_reserves(
 
 def _resolved(
     task: RateTask,
-    grid: _Grid,
+    grid: _CellGrid,
     squares: FloatArray,
     is_new: NDArray[np.bool_],
     end_maxima: tuple[float, float],
@@ -461,7 +463,7 @@ def _resolved(
 
 def _resolve(
     task: RateTask,
-    grid: _Grid,
+    grid: _CellGrid,
     squares: FloatArray,
     cells: tuple[int, int],
     end_maxima: tuple[float, float],
@@ -516,11 +518,11 @@ def fastest_squares(
     size = BLOCK_CELLS
     starts = range(0, count, size)
 
-    def block(first: int) -> _Block:
+    def block(first: int) -> _CellBlock:
         end = min(first + size, count)
-        return _Block(grid_s[first : end + 1], cells_of(first, end), caps[first : end + 1])
+        return _CellBlock(grid_s[first : end + 1], cells_of(first, end), caps[first : end + 1])
 
-    kept: dict[int, _Block] = {}
+    kept: dict[int, _CellBlock] = {}
     for first in reversed(starts):
         backward = block(first)
         backward.fill_upper(upper[first : first + size + 1])
@@ -535,7 +537,7 @@ def fastest_squares(
     return squares
 
 
-class _Block:
+class _CellBlock:
     """Consecutive cells and a toppra solver for them.
 
     Each row is |row · slope + tilt · square| ≤ 1, for a joint at the left or the right of a cell.

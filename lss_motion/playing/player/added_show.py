@@ -42,7 +42,7 @@ READINGS_NS: Final = 3 * NS_PER_S
 that is silent is a fault before this."""
 
 
-class _Step(Enum):
+class _AddedStep(Enum):
     APPROACH = auto()
     SHOW = auto()
     BRAKE = auto()
@@ -70,7 +70,7 @@ class AddedShow:
         self._approaches = 0
         self._is_held = False
         """Whether all shows brake for a fault or a stop: nothing begins meanwhile."""
-        self._step = _Step.APPROACH
+        self._step = _AddedStep.APPROACH
         session.note_standing(now_ns)
         self.streamer = self._approach(now_ns)
 
@@ -81,11 +81,11 @@ class AddedShow:
     @property
     def is_over(self) -> bool:
         """Whether it has ended and its joints rest."""
-        return self._step is _Step.OVER
+        return self._step is _AddedStep.OVER
 
     @property
     def is_leaving(self) -> bool:
-        return self._step in (_Step.BRAKE, _Step.OVER)
+        return self._step in (_AddedStep.BRAKE, _AddedStep.OVER)
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return where its joints are to be, or to begin."""
@@ -96,23 +96,23 @@ class AddedShow:
     def advance(self, now_ns: int) -> list[Event]:
         """Hand over the moves that are due; return what has happened."""
         events: list[Event] = []
-        if self._step is _Step.SHOW:
+        if self._step is _AddedStep.SHOW:
             events += self._agenda.advance(self.streamer, self._session.lines, now_ns)
         self.streamer.advance(now_ns)
         if self._is_held:
             return events
-        if self._step is _Step.APPROACH and self.streamer.is_finished(now_ns):
+        if self._step is _AddedStep.APPROACH and self.streamer.is_finished(now_ns):
             events += self._arrive(now_ns)
-        elif self._step is _Step.SHOW and self.streamer.is_finished(now_ns):
+        elif self._step is _AddedStep.SHOW and self.streamer.is_finished(now_ns):
             events += self.end("finished", now_ns)
-        elif self._step is _Step.BRAKE and self.streamer.is_standing(now_ns):
+        elif self._step is _AddedStep.BRAKE and self.streamer.is_standing(now_ns):
             events += self.end("left", now_ns)
         return events
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
         wakeups_ns = [self.streamer.next_wakeup_ns(now_ns)]
-        if self._step is _Step.SHOW:
+        if self._step is _AddedStep.SHOW:
             wakeups_ns.append(self._agenda.wakeup_ns(self._show, self._session.lines, now_ns))
         return min((w for w in wakeups_ns if w is not None), default=None)
 
@@ -122,7 +122,7 @@ class AddedShow:
         """Brake; then it is over."""
         if not self.is_leaving:
             self.streamer.set_rate(0.0, now_ns)
-            self._step = _Step.BRAKE
+            self._step = _AddedStep.BRAKE
 
     def hold(self, now_ns: int) -> None:
         """Brake, and stand there until `go_on`."""
@@ -131,7 +131,7 @@ class AddedShow:
 
     def set_rate(self, rate: float, rate_max: float, now_ns: int) -> None:
         """Play at `rate` as far as the faults allow it, which concerns the approach, too."""
-        rate = min(rate, rate_max) if self._step is _Step.SHOW else rate_max
+        rate = min(rate, rate_max) if self._step is _AddedStep.SHOW else rate_max
         if not (self.is_leaving or self._is_held):
             self.streamer.set_rate(rate, now_ns)
 
@@ -146,7 +146,7 @@ class AddedShow:
 
     def end(self, outcome: ShowOutcome, now_ns: int) -> list[Event]:
         """Note that it is over; return what is reported of it."""
-        self._step = _Step.OVER
+        self._step = _AddedStep.OVER
         began_ns, self._began_ns = self._began_ns, None
         if self._show is None or began_ns is None:
             return []
@@ -191,7 +191,7 @@ class AddedShow:
                 self.streamer = self._approach(now_ns)
             case Arrival.ASTRAY, joint, off_deg:
                 self.astray = joint, off_deg, self._approaches
-                self._step = _Step.OVER
+                self._step = _AddedStep.OVER
         return []
 
     def _begin(self, now_ns: int) -> list[Event]:
@@ -199,7 +199,7 @@ class AddedShow:
         self.streamer = self._show = self._session.begin(
             self.program, self._start_s, start_ns, is_beside=True
         )
-        self._step, self._began_ns = _Step.SHOW, now_ns
+        self._step, self._began_ns = _AddedStep.SHOW, now_ns
         return [ShowBegan(self.program.name, self._start_s or 0.0, is_added=True)]
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from lss_motion.errors import BusError, InputError, LssMotionError, PlaybackError
 from lss_motion.playing.player.echo import judge_echo
-from lss_motion.playing.player.events import Checked, Found, Warned
+from lss_motion.playing.player.events import Checked, CheckedServo, Warned
 from lss_motion.playing.player.handshake import (
     Item,
     query,
@@ -478,7 +478,7 @@ def check_stored_limits(
 # ---- the result
 
 
-class Asked(Protocol):
+class ServoAnswers(Protocol):
     """What the servos answered: the present values, and the stored ones that were asked for."""
 
     answers: dict[tuple[str, int, str], int | str | None]
@@ -489,7 +489,7 @@ def check(
     program: Program,
     robot: Robot,
     joints: Sequence[Joint],
-    asked: Asked,
+    asked: ServoAnswers,
     trackers: Mapping[str, QueryTracker],
     start_deg: Mapping[str, float],
     *,
@@ -653,7 +653,9 @@ def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]
     return warnings
 
 
-def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, float]) -> list[Found]:
+def found(
+    joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, float]
+) -> list[CheckedServo]:
     """Return what is known of every servo, for people to check before anything moves."""
     rows = []
     for joint in joints:
@@ -663,7 +665,7 @@ def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, flo
         assert values["QD"] is not None, "checked before"
         status = status_of(joint, answers)
         rows.append(
-            Found(
+            CheckedServo(
                 joint=joint.name,
                 servo_id=joint.servo_id,
                 model=None if model is None else str(model),

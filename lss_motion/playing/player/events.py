@@ -40,50 +40,50 @@ class Phase(StrEnum):
     DONE = "done"
 
 
-class _Event(Struct, frozen=True, tag_field="type", tag=True):
+class _PlayerEvent(Struct, frozen=True, tag_field="type", tag=True):
     """In a log, the key `type` has the name of the class."""
 
 
-class PhaseEntered(_Event, frozen=True):
+class PhaseEntered(_PlayerEvent, frozen=True):
     """The player has entered a phase."""
 
     phase: Phase
 
 
-class Warned(_Event, frozen=True):
+class Warned(_PlayerEvent, frozen=True):
     """Something that a person should know and that stops nothing."""
 
     text: str
 
 
-class Noted(_Event, frozen=True):
+class Noted(_PlayerEvent, frozen=True):
     """Something that a person has asked for, as it is now."""
 
     text: str
 
 
-class MarkPassed(_Event, frozen=True):
+class MarkPassed(_PlayerEvent, frozen=True):
     """The show has reached a keyframe."""
 
     label: str
     show_s: float
 
 
-class Waited(_Event, frozen=True):
+class Waited(_PlayerEvent, frozen=True):
     """The show has stopped at a wait (`begun`), or goes on since it was met or timed out."""
 
     text: str
     state: WaitState
 
 
-class CueReached(_Event, frozen=True):
+class CueReached(_PlayerEvent, frozen=True):
     """The show has reached a cue that is not motion; its sound must sound at `show_s`."""
 
     cue: Cue
     show_s: float
 
 
-class Faulted(_Event, frozen=True):
+class Faulted(_PlayerEvent, frozen=True):
     """A fault, and the `step` of `on_fault` that was taken about it.
 
     `cause` is a text with the fault and its remedy; `joint` is empty for a fault of a port.
@@ -98,7 +98,7 @@ class Faulted(_Event, frozen=True):
         return f"joint {self.joint!r} {self.cause}" if self.joint else self.cause
 
 
-class Found(Struct, frozen=True, kw_only=True):
+class CheckedServo(Struct, frozen=True, kw_only=True):
     """One servo before anything moves. Angles are joint degrees; None: it did not report it."""
 
     joint: str
@@ -114,15 +114,15 @@ class Found(Struct, frozen=True, kw_only=True):
     accel_max_deg_s2: float | None
 
 
-class Checked(_Event, frozen=True):
+class Checked(_PlayerEvent, frozen=True):
     """Every servo is present and may do what the program requires."""
 
-    servos: tuple[Found, ...]
+    servos: tuple[CheckedServo, ...]
     notes: tuple[str, ...] = ()
     """What a person may want to mend."""
 
 
-class ShowBegan(_Event, frozen=True):
+class ShowBegan(_PlayerEvent, frozen=True):
     """A show of a run with many has begun at `from_s`."""
 
     name: str
@@ -161,7 +161,7 @@ class ShowSummary(Struct, frozen=True, kw_only=True):
     joints: Mapping[str, JointSummary]
 
 
-class ShowOver(_Event, frozen=True):
+class ShowOver(_PlayerEvent, frozen=True):
     """A show of a run with many is over, or another one takes its place."""
 
     summary: ShowSummary

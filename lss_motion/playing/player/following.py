@@ -23,7 +23,7 @@ from msgspec import Struct
 from lss_motion.errors import InputError
 from lss_motion.playing.player.events import Phase, PlayerRequest, note_nowhere
 from lss_motion.playing.player.session import approach_s
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ NAMED_MAX: Final = 20
 """Number of texts of one kind of trouble in a run."""
 
 
-class Step(StrEnum):
+class FollowingStep(StrEnum):
     """What a show does that follows."""
 
     WAITING = "waits"
@@ -88,7 +88,7 @@ class FollowRule(Struct, frozen=True, kw_only=True):
     """Whether the robot goes to where its leader stands: a conductor has sought that place, a tape
     may still be wound."""
 
-    def speed_of(self, leader: Leg) -> float:
+    def speed_of(self, leader: LeaderPosition) -> float:
         """Return the rate at which a show runs beside a leader, but for the trim; 0: it stands."""
         if leader.rate >= RUNNING_RATE:
             return 1.0
@@ -114,15 +114,15 @@ class Following:
         It begins paused: by the caller, or with `pauses` by the first turn.
         """
         self.rule = rule or FollowRule()
-        self.step = Step.WAITING
+        self.step = FollowingStep.WAITING
         self.off_s: float | None = None
         """How far the leader is ahead of the show, while it is in step."""
         self.jumps = 0
         """How often the show was too far off, and rejoined."""
         self.note_request: Callable[[PlayerRequest, int], None] = note_nowhere
         """Notes what decides about the show, for a log."""
-        self._leader: Leg | None = None
-        self._coming: Leg | None = None
+        self._leader: LeaderPosition | None = None
+        self._coming: LeaderPosition | None = None
         """The next leg of a leader that changes its speed, until its instant."""
         self._led_ns = 0
         self._followed_ns = -FOLLOW_NS
@@ -142,7 +142,7 @@ class Following:
 
     # ---- what a caller says
 
-    def lead(self, leader: Leg, now_ns: int) -> None:
+    def lead(self, leader: LeaderPosition, now_ns: int) -> None:
         """Note where the leader is. One whose instant is to come stands there until then."""
         if self._is_lost:
             self._say("back", "the leader is back")
@@ -186,7 +186,7 @@ class Following:
                 self._run_at(player, 0.0, now_ns)
             return
         before = self.step
-        if before is Step.WAITING:
+        if before is FollowingStep.WAITING:
             self._say("waits", "waits for its leader", most=1)
         self._take_coming(player, show, now_ns)
         leader = self._running_leader(player, show, now_ns)
@@ -196,7 +196,11 @@ class Following:
             self._keep_step(player, show, leader, now_ns)
         else:
             self._begin(player, show, leader, now_ns)
-        if self.step is Step.RUNNING and before in (Step.WAITING, Step.HOLDING, Step.JOINING):
+        if self.step is FollowingStep.RUNNING and before in (
+            FollowingStep.WAITING,
+            FollowingStep.HOLDING,
+            FollowingStep.JOINING,
+        ):
             self._say("step", "in step with its leader")
         self._is_new = False
 
@@ -210,12 +214,12 @@ class Following:
             half_ns = ns_from_s(show.ramp_over_s(abs(speed - present), now_ns)) // 2
             if now_ns < coming.instant_ns - half_ns:
                 self._wake(player, coming.instant_ns - half_ns)
-            elif self.step is Step.RUNNING:
+            elif self.step is FollowingStep.RUNNING:
                 self._run_at(player, speed, now_ns)
         if now_ns >= coming.instant_ns:
             self._leader, self._coming = coming, None
 
-    def _running_leader(self, player: Player, show: Streamer, now_ns: int) -> Leg | None:
+    def _running_leader(self, player: Player, show: Streamer, now_ns: int) -> LeaderPosition | None:
         """Return the leader, if the show has to run or to begin with it."""
         leader = self._leader
         if leader is None or self._is_paused:
@@ -238,24 +242,24 @@ class Following:
                 self._leader = leader = self._alone(show, now_ns)
         return None if self.rule.speed_of(leader) == 0.0 else leader
 
-    def _alone(self, show: Streamer, now_ns: int) -> Leg:
+    def _alone(self, show: Streamer, now_ns: int) -> LeaderPosition:
         """Return a leader with which the show goes on from where it stands, now."""
         before_s = 0.5 * show.ramp_over_s(1.0, now_ns)
-        return Leg(now_ns, show.show_s(now_ns) - before_s, 1.0)
+        return LeaderPosition(now_ns, show.show_s(now_ns) - before_s, 1.0)
 
     def _hold(self, player: Player, show: Streamer, now_ns: int) -> None:
         """Stand: at once before the start, else after braking."""
         self.off_s = None
         if show.clock.target_rate <= 0.0:
-            if self.step is not Step.WAITING:
-                self.step = Step.HOLDING
+            if self.step is not FollowingStep.WAITING:
+                self.step = FollowingStep.HOLDING
             self._go_to(player, show, now_ns)
         elif show.show_s(now_ns) < show.begin_s:
             self._hold_before_start(player, now_ns)
-            self.step = Step.WAITING
+            self.step = FollowingStep.WAITING
         else:
             self._run_at(player, 0.0, now_ns)
-            self.step = Step.HOLDING
+            self.step = FollowingStep.HOLDING
 
     def _go_to(self, player: Player, show: Streamer, now_ns: int) -> None:
         """Go to where the leader stands, unless that is as near as a pause leaves it."""
@@ -269,11 +273,13 @@ class Following:
         near_s = show.ramp_over_s(1.0, now_ns) + JUMP_S
         is_in_show = 0.0 <= leader.show_s < player.program.duration_s
         if is_in_show and abs(leader.show_s - here_s) > near_s:
-            self.step = Step.JOINING
+            self.step = FollowingStep.JOINING
             self.note_request(PlayerRequest("seek", (leader.show_s,)), now_ns)
             player.seek(leader.show_s, now_ns)
 
-    def _keep_step(self, player: Player, show: Streamer, leader: Leg, now_ns: int) -> None:
+    def _keep_step(
+        self, player: Player, show: Streamer, leader: LeaderPosition, now_ns: int
+    ) -> None:
         """Trim the clock; stand if the leader is too far away, to rejoin it from there."""
         if not self._is_new and now_ns - self._followed_ns < FOLLOW_NS:
             return
@@ -302,20 +308,20 @@ class Following:
             self.jumps += 1
             self._say("jump", f"the leader is {self.off_s:+.2f} s away: the show rejoins it")
             self._run_at(player, 0.0, now_ns)
-            self.off_s, self.step = None, Step.JOINING
+            self.off_s, self.step = None, FollowingStep.JOINING
             return
         silent_ns = now_ns - self._led_ns
         is_led = silent_ns <= 3 * FOLLOW_NS
-        is_alone = Step.ALONE if self._is_lost else Step.FREEWHEELING
-        self.step = Step.RUNNING if is_led else is_alone
+        is_alone = FollowingStep.ALONE if self._is_lost else FollowingStep.FREEWHEELING
+        self.step = FollowingStep.RUNNING if is_led else is_alone
 
-    def _begin(self, player: Player, show: Streamer, leader: Leg, now_ns: int) -> None:
+    def _begin(self, player: Player, show: Streamer, leader: LeaderPosition, now_ns: int) -> None:
         """Begin to run from where the show stands, or go to where the leader will be."""
         leader_s, here_s = leader.at_s(now_ns), show.show_s(now_ns)
         if here_s < show.begin_s:
             if leader_s <= show.begin_s + LATE_MAX_S:
                 self._run_from(player, min(leader_s, show.begin_s), now_ns)
-                self.step = Step.RUNNING
+                self.step = FollowingStep.RUNNING
             else:
                 self._join(player, show, leader, now_ns)
             return
@@ -331,13 +337,13 @@ class Following:
             self._place_s = None
         if -LATE_MAX_S <= early_s <= PROMPT_S:
             self._run_at(player, speed, now_ns)
-            self.step = Step.JOINING
+            self.step = FollowingStep.JOINING
         elif 0.0 < early_s <= WAIT_MAX_S or (early_s > 0.0 and here_s <= show.begin_s + JUMP_S):
             self._wake(player, now_ns + ns_from_s(early_s))
         else:
             self._join(player, show, leader, now_ns)
 
-    def _join(self, player: Player, show: Streamer, leader: Leg, now_ns: int) -> None:
+    def _join(self, player: Player, show: Streamer, leader: LeaderPosition, now_ns: int) -> None:
         """Go to a place where the leader will be when the robot has arrived there."""
         leader_s = leader.at_s(now_ns)
         place_s = max(leader_s, 0.0)
@@ -349,10 +355,10 @@ class Following:
         if not 0.0 <= place_s < player.program.duration_s:
             if not self._is_beyond:
                 self._say("end", "the leader is beyond the end of the show: the robot holds")
-            self._is_beyond, self.step = True, Step.HOLDING
+            self._is_beyond, self.step = True, FollowingStep.HOLDING
             return
         self._is_beyond = False
-        self._place_s, self.step = place_s, Step.JOINING
+        self._place_s, self.step = place_s, FollowingStep.JOINING
         self._run_at(player, 0.0, now_ns)
         self.note_request(PlayerRequest("seek", (place_s,)), now_ns)
         player.seek(place_s, now_ns)

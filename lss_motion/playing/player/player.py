@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.events import Event, Faulted
     from lss_motion.playing.player.phases import Outcome
     from lss_motion.playing.player.repertoire import Repertoire
-    from lss_motion.playing.player.show_clock import Leg
+    from lss_motion.playing.player.show_clock import LeaderPosition
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.robot.model import Robot
 
@@ -303,7 +303,7 @@ class Player:
 
     def follow(
         self,
-        leader: Leg,
+        leader: LeaderPosition,
         now_ns: int,
         trim_max_ratio: float = TRIM_MAX_RATIO,
         closing_s: float = CLOSING_S,

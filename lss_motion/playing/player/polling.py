@@ -23,7 +23,7 @@ from lss_motion.playing.player.query_choice import (
     Pace,
     Polled,
 )
-from lss_motion.playing.player.servo_model import HOLD_SIGNS, ServoSettings, Silence
+from lss_motion.playing.player.servo_model import HOLD_SIGNS, CommonSilence, ServoSettings
 from lss_motion.playing.player.show_clock import earliest_after
 from lss_motion.protocol.codec import reply_number
 from lss_motion.protocol.constants import Family, Status
@@ -124,7 +124,7 @@ class PollScheduler:
         self._next_ns: dict[str, int | None] = dict.fromkeys(trackers)
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
-        self._silences = {bus: Silence() for bus in trackers}
+        self._silences = {bus: CommonSilence() for bus in trackers}
         self.watched = SensorWatch(())
         """Sensors that are polled although no show waits for them."""
 

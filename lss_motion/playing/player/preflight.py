@@ -71,7 +71,7 @@ class _Sample:
 
 
 @dataclass(slots=True)
-class _Window:
+class _OpenQuery:
     """The query that is waited for on a bus."""
 
     joint: Joint
@@ -98,7 +98,7 @@ class TwinSearch:
         """Bus and id of servos that sent damaged bytes, and no undamaged answer."""
         self._trackers = trackers
         self._queues: dict[str, deque[Joint]] = {bus: deque() for bus in trackers}
-        self._windows: dict[str, _Window] = {}
+        self._windows: dict[str, _OpenQuery] = {}
         self._samples: dict[tuple[str, int], list[_Sample]] = {}
         for joint in joints:
             self._queues[joint.bus].append(joint)
@@ -139,9 +139,9 @@ class TwinSearch:
         arrival_ns = line.send(encode(Command(joint.servo_id, _keyword(joint))), now_ns)
         wait_ns = latency.latest_ns if latency.is_known else REPLY_TIMEOUT_NS
         until_ns = arrival_ns + wait_ns + TWIN_SPREAD_NS + line.time_ns(2 * REPLY_MAX_BYTES)
-        self._windows[joint.bus] = _Window(joint, until_ns, line.garbage)
+        self._windows[joint.bus] = _OpenQuery(joint, until_ns, line.garbage)
 
-    def _close(self, window: _Window) -> None:
+    def _close(self, window: _OpenQuery) -> None:
         """Keep what came after a query; go on with the next servo when this one is clear."""
         joint, sample = window.joint, window.sample
         address = (joint.bus, joint.servo_id)

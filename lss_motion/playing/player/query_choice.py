@@ -563,7 +563,7 @@ class ByNeed(QueryChoice):
 
 
 @dataclass(slots=True)
-class _Row:
+class _ServoTurn:
     """One servo, and the number of queries that it still gets before the next servo."""
 
     state: JointState
@@ -577,7 +577,7 @@ class FullLine(QueryChoice):
 
     def __init__(self, polled: Polled) -> None:
         super().__init__(polled)
-        self._rows: dict[str, _Row | None] = dict.fromkeys(self._by_bus)
+        self._rows: dict[str, _ServoTurn | None] = dict.fromkeys(self._by_bus)
 
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
         row = self._row(bus, now_ns)
@@ -604,7 +604,7 @@ class FullLine(QueryChoice):
         row.left -= 1
         row.places += keyword == PLACE_KEYWORD
 
-    def _row(self, bus: str, now_ns: int) -> _Row | None:
+    def _row(self, bus: str, now_ns: int) -> _ServoTurn | None:
         """Return the servo in turn and its number of queries; None: no servo can be polled."""
         row, tracker = self._rows[bus], self._trackers[bus]
         if row is not None and row.left > 0:
@@ -615,7 +615,7 @@ class FullLine(QueryChoice):
         # of the answers (measured), and that servo waits for a row or two at most.
         free = (one for one in self._by_bus[bus] if self._can_be_polled(bus, one, now_ns))
         state = max(free, key=lambda one: self._merit(one, now_ns), default=None)
-        self._rows[bus] = None if state is None else _Row(state, self._length(bus, state))
+        self._rows[bus] = None if state is None else _ServoTurn(state, self._length(bus, state))
         return self._rows[bus]
 
     def _length(self, bus: str, state: JointState) -> int:
@@ -633,7 +633,7 @@ class FullLine(QueryChoice):
         most = VISIT_NS // (reply_ns * len(self._by_bus[bus]))
         return max(1, min(wanted, most, tracker.depth(servo_id)))
 
-    def _word(self, bus: str, row: _Row, now_ns: int) -> str:
+    def _word(self, bus: str, row: _ServoTurn, now_ns: int) -> str:
         """Return the keyword of the next query: position, target, or health.
 
         A row ends with a query about health, since equal queries need a different one at their end.

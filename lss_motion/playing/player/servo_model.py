@@ -412,7 +412,7 @@ class _Doubt:
     """The last wrong answer by keyword."""
 
 
-class Silence:
+class CommonSilence:
     """Whether several servos of one bus fell silent together: their common power may have failed.
 
     A servo that is silent while another one answers has its own reason, until it answers again.

@@ -486,7 +486,7 @@ def without_noise(robot: Robot, standing_deg: Mapping[str, float]) -> dict[str, 
     return standing
 
 
-class _Leg(NamedTuple):
+class _TimedLeg(NamedTuple):
     """One move of every timed joint at the same time: servo angles, and T in seconds."""
 
     targets_deg: dict[str, float]
@@ -495,7 +495,7 @@ class _Leg(NamedTuple):
 
 def _legs(
     robot: Robot, standing_deg: Mapping[str, float], end_deg: Mapping[str, float]
-) -> list[_Leg]:
+) -> list[_TimedLeg]:
     """Return the moves of the timed joints: as few as T allows, none above the approach speed.
 
     Every target is in the range of its joint. So a joint that stands outside has a longer way in
@@ -516,7 +516,7 @@ def _legs(
                     way_deg = abs(target_deg - before_deg[joint.name]) if is_cut else way_deg
                     targets_deg[joint.name] = before_deg[joint.name] = target_deg
                 lasts_s = max(lasts_s, way_deg / robot.approach_deg_s(joint))
-            legs.append(_Leg(targets_deg, lasts_s))
+            legs.append(_TimedLeg(targets_deg, lasts_s))
         if all(leg.lasts_s <= s_from_ns(LONGEST_NS) for leg in legs):
             return legs
     raise AssertionError("moves get shorter with their number")

@@ -35,7 +35,7 @@ ASKED_MAX: Final = 16
 """Show times whose instants are kept: the same few are asked for several times in every turn."""
 
 
-class Leg(NamedTuple):
+class LeaderPosition(NamedTuple):
     """Where a leader is: at `show_s` at the run instant `instant_ns`, with this rate."""
 
     instant_ns: int
@@ -81,7 +81,7 @@ class ShowClock:
 
     def follow(
         self,
-        leader: Leg,
+        leader: LeaderPosition,
         now_ns: int,
         trim_max_ratio: float = TRIM_MAX_RATIO,
         closing_s: float = CLOSING_S,

@@ -100,7 +100,7 @@ class LiveJob(Struct, frozen=True, kw_only=True):
         try:
             with connect(self.robot) as live:
                 for text in live.warnings:
-                    operator.send(m.Warned(text=text))
+                    operator.send(m.WarningRaised(text=text))
                 LiveSession(live, operator, self.tasks).run()
         except LssMotionError as failed:
             error = str(failed)
@@ -179,7 +179,7 @@ class LiveSession:
             self._live.move_to(pose, wanted.duration_s, controls=stopping)
         except LssMotionError as failed:
             if not stopping.has_stopped:
-                self._operator.send(m.Warned(text=f"pose {wanted.pose!r}: {failed}"))
+                self._operator.send(m.WarningRaised(text=f"pose {wanted.pose!r}: {failed}"))
         if stopping.has_stopped:
             self._is_over = True
             self._live.hold_at_end()

@@ -16,7 +16,7 @@ from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
 from lss_motion.playing.player import events
 from lss_motion.playing.player.events import Phase
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.message import Telemetry
@@ -106,7 +106,7 @@ class Steering:
         if self._following is not None and not self._has_stopped:
             self._following.turn(player, now_ns)
             for text in self._following.take_texts():
-                self.operator.send(m.Warned(text=text))
+                self.operator.send(m.WarningRaised(text=text))
 
     def _obey_signals(self, player: Player, now_ns: int, count: int) -> None:
         """Brake at the first signal, end at the second one."""
@@ -173,7 +173,7 @@ class Steering:
     def _lead(self, operation: m.Follow, now_ns: int) -> None:
         if self._following is None:
             raise InputError("the show was not started to follow a leader")
-        leg = Leg(operation.instant_ns, operation.show_s, operation.rate)
+        leg = LeaderPosition(operation.instant_ns, operation.show_s, operation.rate)
         self._following.lead(leg, now_ns)
 
     def _stop(self, player: Player, now_ns: int) -> None:
@@ -344,24 +344,24 @@ def message_of(event: events.Event) -> m.Message | None:
         case events.PhaseEntered():
             return m.PhaseChanged(phase=event.phase.value)
         case events.Warned():
-            return m.Warned(text=event.text)
+            return m.WarningRaised(text=event.text)
         case events.MarkPassed():
-            return m.MarkPassed(label=event.label, at_s=event.show_s) if event.label else None
+            return m.LabelPassed(label=event.label, at_s=event.show_s) if event.label else None
         case events.CueReached() | events.ShowBegan() | events.ShowOver():
             return _show_message(event)
         case events.Noted():
             return None
         case events.Waited():
-            return m.Waited(text=event.text, state=event.state)
+            return m.WaitChanged(text=event.text, state=event.state)
         case events.Faulted():
-            return m.Faulted(
+            return m.FaultFound(
                 joint=event.joint,
                 cause=event.cause,
                 kind=event.kind.value,
                 step=event.step.value,
             )
         case events.Checked():
-            return m.Checked(servos=len(event.servos), notes=event.notes)
+            return m.ServosChecked(servos=len(event.servos), notes=event.notes)
 
 
 def _show_message(event: events.CueReached | events.ShowBegan | events.ShowOver) -> m.Message:
@@ -381,13 +381,13 @@ def _show_message(event: events.CueReached | events.ShowBegan | events.ShowOver)
     )
 
 
-def _cue_message(event: events.CueReached) -> m.CueReached:
+def _cue_message(event: events.CueReached) -> m.CueFired:
     cue, at_s = event.cue, event.show_s
     if cue.sound:
-        return m.CueReached(kind="sound", text=cue.sound, at_s=at_s)
+        return m.CueFired(kind="sound", text=cue.sound, at_s=at_s)
     if cue.run:
-        return m.CueReached(kind="run", text=cue.run, at_s=at_s)
+        return m.CueFired(kind="run", text=cue.run, at_s=at_s)
     if cue.led:
         colours = ", ".join(f"{joint} {Led(code).name.lower()}" for joint, code in cue.led)
-        return m.CueReached(kind="led", text=colours, at_s=at_s)
-    return m.CueReached(kind="say", text=cue.say, at_s=at_s)
+        return m.CueFired(kind="led", text=colours, at_s=at_s)
+    return m.CueFired(kind="say", text=cue.say, at_s=at_s)

@@ -223,7 +223,7 @@ AnyOperation = (
     | Maintain
     | MaintenanceAnswer
     | stage.Trigger
-    | stage.Cue
+    | stage.FireCue
     | stage.Enable
     | stage.Arm
     | stage.StagePlay
@@ -262,27 +262,27 @@ class PhaseChanged(Event, frozen=True, kw_only=True, tag="phase"):
     phase: str
 
 
-class Checked(Event, frozen=True, kw_only=True, tag="checked"):
+class ServosChecked(Event, frozen=True, kw_only=True, tag="checked"):
     """Every servo is there and may do what the program requires."""
 
     servos: int
     notes: tuple[str, ...]
 
 
-class Warned(Event, frozen=True, kw_only=True, tag="warned"):
+class WarningRaised(Event, frozen=True, kw_only=True, tag="warned"):
     """Something that a person should know and that stops nothing."""
 
     text: str
 
 
-class MarkPassed(Event, frozen=True, kw_only=True, tag="mark"):
+class LabelPassed(Event, frozen=True, kw_only=True, tag="mark"):
     """The show has reached a named keyframe."""
 
     label: str
     at_s: float
 
 
-class CueReached(Event, frozen=True, kw_only=True, tag="cue"):
+class CueFired(Event, frozen=True, kw_only=True, tag="cue"):
     """The show has reached a sound, a light, a function or a line to say."""
 
     kind: Literal["sound", "run", "led", "say"]
@@ -290,14 +290,14 @@ class CueReached(Event, frozen=True, kw_only=True, tag="cue"):
     at_s: float
 
 
-class Waited(Event, frozen=True, kw_only=True, tag="waited"):
+class WaitChanged(Event, frozen=True, kw_only=True, tag="waited"):
     """The show waits for a sensor (`begun`), or goes on."""
 
     text: str
     state: Literal["begun", "met", "timeout"]
 
 
-class Faulted(Event, frozen=True, kw_only=True, tag="fault"):
+class FaultFound(Event, frozen=True, kw_only=True, tag="fault"):
     """A fault, and the step of `on_fault` that was taken about it."""
 
     joint: str
@@ -488,7 +488,7 @@ class Heartbeat(Event, frozen=True, kw_only=True, tag="heartbeat"):
     server_s: float
 
 
-class Pairing(Event, frozen=True, kw_only=True, tag="pairing"):
+class PairingCode(Event, frozen=True, kw_only=True, tag="pairing"):
     """The answer to `pair`: a code of six digits, for one client, for so long."""
 
     code: str
@@ -568,12 +568,12 @@ class MaintenanceChanged(Event, frozen=True, kw_only=True, tag="maintenance"):
 AnyEvent = (
     Started
     | PhaseChanged
-    | Checked
-    | Warned
-    | MarkPassed
-    | CueReached
-    | Waited
-    | Faulted
+    | ServosChecked
+    | WarningRaised
+    | LabelPassed
+    | CueFired
+    | WaitChanged
+    | FaultFound
     | ShowStarted
     | ShowEnded
     | RateChanged
@@ -589,7 +589,7 @@ AnyEvent = (
     | PlayerChanged
     | Links
     | Heartbeat
-    | Pairing
+    | PairingCode
     | Scanned
     | MaintenanceChanged
     | stage.StageState

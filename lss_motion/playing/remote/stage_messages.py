@@ -26,7 +26,7 @@ class Trigger(Operation, frozen=True, kw_only=True, tag="trigger"):
     source: Source = ""
 
 
-class Cue(Operation, frozen=True, kw_only=True, tag="cue"):
+class FireCue(Operation, frozen=True, kw_only=True, tag="cue"):
     """Fire a cue by its name, whatever it waits for."""
 
     label: Name
@@ -83,7 +83,7 @@ class EndAdded(Operation, frozen=True, kw_only=True, tag="end_added"):
     show: Name
 
 
-StageOperation = Trigger | Cue | Enable | Arm | StagePlay | StageStop | StageRest | StageWake
+StageOperation = Trigger | FireCue | Enable | Arm | StagePlay | StageStop | StageRest | StageWake
 """What is asked of a running stage, besides `schema.ShowOperation`."""
 
 

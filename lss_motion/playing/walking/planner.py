@@ -25,7 +25,7 @@ from lss_motion.planning.trajectory.tracks import given_motion
 from lss_motion.show.gait.curves import spline
 from lss_motion.show.gait.model import BodyMove, BodyPose
 from lss_motion.show.gait.pacing import paced
-from lss_motion.show.gait.steering import HISTORY_S, Steering
+from lss_motion.show.gait.steering import HISTORY_S, SteeredGait
 from lss_motion.show.gait.stepping import STILL, Twist
 from lss_motion.system.closing import Closing
 from lss_motion.system.messages import TypedPipe
@@ -95,7 +95,7 @@ class WalkPlanner:
     def __init__(self, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
         self._gait = gait
         self._robot = robot
-        steering = Steering(gait, robot, BodyPose())
+        steering = SteeredGait(gait, robot, BodyPose())
         walker = steering.standing()
         angles = walker.past.values[-1].tolist()
         self.program = Program(
@@ -132,8 +132,8 @@ class WalkPlanner:
         except LssMotionError as error:
             return PlanReply(extension=None, reason=str(error))
 
-    def _steering(self) -> Steering:
-        return Steering(self._gait, self._robot, self._played.pose)
+    def _steering(self) -> SteeredGait:
+        return SteeredGait(self._gait, self._robot, self._played.pose)
 
     def _plan_walk(self, request: PlanRequest) -> PlanReply:
         steering, played = self._steering(), self._played

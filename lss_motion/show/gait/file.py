@@ -121,7 +121,7 @@ class PoseEntry(MoveEntry, title="pose"):
     )
 
 
-class LayerEntry(FileModel, title="body layer"):
+class SwingEntry(FileModel, title="body layer"):
     """The body swings about its pose. Layers add up."""
 
     shift_mm: Annotated[list[PlaceMm], Field(min_length=3, max_length=3)] = Field(
@@ -220,7 +220,7 @@ class GaitFile(FileModel, title="gait file"):
         description="How far the body leans away from a lifted leg. Default: that of the pattern, "
         "0 for all but crawl.",
     )
-    layers: Annotated[list[LayerEntry], Field(max_length=LAYERS_MAX)] = Field(
+    layers: Annotated[list[SwingEntry], Field(max_length=LAYERS_MAX)] = Field(
         default=[],
         description="Swings of the body on top of all actions. They fade in and out over at most a "
         "second wherever the robot comes to rest.",

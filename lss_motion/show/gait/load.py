@@ -70,7 +70,7 @@ def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:
     """
     content, source = _read(Path(path))
     robot = robot or load_named_robot(source, content.robot)
-    loader = _Loader(content, source, robot)
+    loader = _GaitLoader(content, source, robot)
     gait = loader.gait()
     if gait is None or loader.problems:
         raise source.error(loader.problems)
@@ -97,7 +97,7 @@ def _read(path: Path) -> tuple[GaitFile, YamlSource]:
 
 
 @dataclass(slots=True)
-class _Loader:
+class _GaitLoader:
     """Builds the gait of one file and collects its problems."""
 
     content: GaitFile

@@ -82,7 +82,7 @@ class WalkPlan(Struct, frozen=True, kw_only=True):
     following: Walker
 
 
-class Steering(Struct, frozen=True):
+class SteeredGait(Struct, frozen=True):
     """Makes the plans of one walk with the body in `pose`; `gait.actions` are not used."""
 
     gait: Gait

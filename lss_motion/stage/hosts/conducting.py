@@ -32,7 +32,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from lss_motion.playing.player.show_clock import Leg
+    from lss_motion.playing.player.show_clock import LeaderPosition
     from lss_motion.robot.model import Robot
     from lss_motion.robot.on_fault import Cause
     from lss_motion.stage.hosts.host import Host
@@ -99,7 +99,7 @@ class ConductedStage:
         match ask.operation:
             case m.Stop():  # The figures know it already.
                 self.director.halt(self.now_ns)
-            case s.Cue() | s.Trigger() | m.Go():
+            case s.FireCue() | s.Trigger() | m.Go():
                 try:
                     signal = signal_of(ask.operation, self.stage)
                 except InputError as refused:
@@ -238,7 +238,7 @@ class ConductedStage:
         """Whether the timecode says where the present show is."""
         return self._order is not None and self._order.follows_s is not None
 
-    def _leader(self) -> Leg | None:
+    def _leader(self) -> LeaderPosition | None:
         """Return the timecode as show time of the present show; None: it does not follow."""
         order = self._order
         if self.timecode is None or order is None or order.follows_s is None:

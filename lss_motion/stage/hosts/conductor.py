@@ -36,7 +36,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.following import RUNNING_RATE
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.hosts.legs import LEAD_NS, ShowLegs
 from lss_motion.stage.hosts.messages import EPOCHS_AHEAD, ConductorBeat, StopAll, hash_of, packed
@@ -113,7 +113,7 @@ class Wish(Struct, frozen=True, kw_only=True):
     number: int
     cast: Cast
     start_s: float = 0.0
-    leader: Callable[[], Leg | None] | None = None
+    leader: Callable[[], LeaderPosition | None] | None = None
     """Where the timecode is in this show, which then follows it; None: nowhere at present."""
     holds_without: bool = False
     """Whether the show holds while its leader is lost, instead of going on."""
@@ -555,7 +555,7 @@ class Conductor:
         if wish.leader is not None:
             leader = wish.leader()
             if leader is None and wish.holds_without:
-                leader = Leg(self._now_ns, leg.at_s(self._now_ns), 0.0)
+                leader = LeaderPosition(self._now_ns, leg.at_s(self._now_ns), 0.0)
             if leader is not None:
                 self.legs.chase(leader, self._now_ns)
         fallen = self._fallen()
@@ -689,6 +689,6 @@ class Conductor:
         return [one for one in self._ended() if one.status is not None and one.status.cause]
 
 
-def _is_near(leader: Leg | None, now_ns: int) -> bool:
+def _is_near(leader: LeaderPosition | None, now_ns: int) -> bool:
     """Return whether a leader runs, and is not further than `NEAR_S` before the show."""
     return leader is not None and leader.rate >= RUNNING_RATE and leader.at_s(now_ns) >= -NEAR_S

@@ -185,12 +185,12 @@ class Host:
                 self.stop()
             case m.Go():
                 self._ask(operation)
-            case s.Trigger() | s.Cue():
+            case s.Trigger() | s.FireCue():
                 self._ask(replace(operation, source=operation.source or origin))
             case _:
                 raise InputError(f"{operation.op} is for the conductor's computer")
 
-    def _ask(self, operation: m.Go | m.Stop | s.Cue | s.Trigger) -> None:
+    def _ask(self, operation: m.Go | m.Stop | s.FireCue | s.Trigger) -> None:
         self._ask_count += 1
         ask = Ask(operation=operation, number=self._ask_count, instance=self.instance)
         if self.conductor is None:

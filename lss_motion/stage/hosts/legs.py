@@ -15,7 +15,7 @@ from lss_motion.stage.hosts.messages import NetworkLeg
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.playing.player.show_clock import Leg
+    from lss_motion.playing.player.show_clock import LeaderPosition
 
 LEAD_NS: Final = NS_PER_S
 """A leg takes effect this long after it was made. A message arrives in 80 ms even on a bad Wi-Fi,
@@ -48,7 +48,7 @@ class ShowLegs:
         """That of a leader, if there is one."""
         self._chased_ns = -CHASE_NS
 
-    def begin(self, start_s: float, leader: Leg | None, now_ns: int) -> NetworkLeg:
+    def begin(self, start_s: float, leader: LeaderPosition | None, now_ns: int) -> NetworkLeg:
         """Make the first leg, from `start_s` or where the leader will be."""
         at_ns = now_ns + LEAD_NS
         show_s, rate = start_s, 1.0
@@ -92,7 +92,7 @@ class ShowLegs:
         self.is_seeking = False
         self._rerate(now_ns)
 
-    def chase(self, leader: Leg, now_ns: int) -> None:
+    def chase(self, leader: LeaderPosition, now_ns: int) -> None:
         """Make another leg where the leader has left the present one.
 
         While the show is paused or slowed down for a figure, it is met only afterwards.

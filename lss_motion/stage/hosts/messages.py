@@ -191,7 +191,7 @@ class Examine(Operation, frozen=True, kw_only=True, tag="examine"):
     """Let all figures examine their computers and servos (`doctor --stage`)."""
 
 
-Asked = m.Go | m.Stop | s.Cue | s.Trigger | Examine
+Asked = m.Go | m.Stop | s.FireCue | s.Trigger | Examine
 
 
 class Ask(Message, frozen=True, kw_only=True):

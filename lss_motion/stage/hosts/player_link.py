@@ -193,13 +193,13 @@ class PlayerLink:
             match m.parse_event(content):
                 case m.PhaseChanged() as event:
                     self._report = replace(self._report, phase=event.phase)
-                case m.Warned() as event:
+                case m.WarningRaised() as event:
                     self._log(f"player: {event.text}")
                 case m.Health() as event:
                     known = [one.temperature_c for one in event.joints.values()]
                     hottest_c = max((c for c in known if c is not None), default=None)
                     self._report = replace(self._report, hottest_c=hottest_c, late_us=event.late_us)
-                case m.Faulted() as event:
+                case m.FaultFound() as event:
                     self._cause = event.kind
                     self._log(f"player: joint {event.joint!r}: {event.kind}: {event.step}")
                 case m.Refused() as event:

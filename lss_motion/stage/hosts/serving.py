@@ -312,7 +312,7 @@ def operation_of(words: Sequence[str], stage: Stage) -> AnyOperation:
         case "l", [show]:
             return s.StagePlay(show=show)
         case "c", [cue]:
-            return s.Cue(label=cue)
+            return s.FireCue(label=cue)
         case "v", _:
             return _with_number("rate", "ratio", rest, "v needs a share of the speed: v 0.5")
         case "j", _:

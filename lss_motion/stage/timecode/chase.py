@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ class Chase:
         self._since_ns = 0
         self._astray = self._still = 0
         self._held_s = 0.0
-        self._legs: deque[Leg] = deque(maxlen=64)
+        self._legs: deque[LeaderPosition] = deque(maxlen=64)
         self._texts: deque[str] = deque(maxlen=64)
         self._reported: set[str] = set()
 
@@ -171,7 +171,7 @@ class Chase:
             self._forget()
         self._add_due_leg(now_ns)
 
-    def take_legs(self) -> list[Leg]:
+    def take_legs(self) -> list[LeaderPosition]:
         """Return the legs since the last call, oldest first."""
         legs = list(self._legs)
         self._legs.clear()
@@ -350,9 +350,9 @@ class Chase:
     def _add_leg(self, now_ns: int) -> None:
         self._leg_ns = now_ns
         if self.state in HELD:
-            self._legs.append(Leg(now_ns, self._held_s, 0.0))
+            self._legs.append(LeaderPosition(now_ns, self._held_s, 0.0))
         else:
-            self._legs.append(Leg(now_ns, self._position_s(now_ns), self.rate))
+            self._legs.append(LeaderPosition(now_ns, self._position_s(now_ns), self.rate))
 
 
 def _relative(

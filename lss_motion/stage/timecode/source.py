@@ -13,7 +13,7 @@ import msgspec
 
 from lss_motion.errors import InputError
 from lss_motion.playing.player.events import PlayerRequest
-from lss_motion.playing.player.show_clock import Leg
+from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.playing.remote.schema import Follow
 from lss_motion.stage.timecode import receive, send
 from lss_motion.stage.timecode.receive import (
@@ -234,7 +234,7 @@ class FollowControls:
         if self._inner is not None:
             self._inner.act(_PausedByPerson(player, self.following), now_ns)
         for leg in self._legs.take():
-            self.following.lead(Leg(leg.instant_ns, leg.show_s, leg.rate), now_ns)
+            self.following.lead(LeaderPosition(leg.instant_ns, leg.show_s, leg.rate), now_ns)
         self.following.turn(player, now_ns)
         if self.following.is_over and player.outcome is None:
             self.following.note_request(PlayerRequest("stop"), now_ns)

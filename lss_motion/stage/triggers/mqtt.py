@@ -147,7 +147,7 @@ def operation_of(
     own, _, name = topic.removeprefix(f"{base}/").partition("/")
     match own if topic.startswith(f"{base}/") else "":
         case "cue" if name:
-            return stage.Cue(label=name)
+            return stage.FireCue(label=name)
         case "enable" if name and text.casefold() in ("on", "off"):
             return stage.Enable(cue=name, is_enabled=text.casefold() == "on")
         case "do" if text in DEEDS:

@@ -96,7 +96,7 @@ def address_of(universe: int, slot: int) -> str:
 
 
 @dataclass(slots=True)
-class _Source:
+class _SacnSource:
     priority: int
     sequence: int
     heard_s: float
@@ -116,7 +116,7 @@ class Levels:
         for address in own:
             universe, slot = map(int, address.split("/"))
             self._slots.setdefault(universe, []).append(slot)
-        self._sources: dict[int, dict[bytes, _Source]] = {one: {} for one in self._slots}
+        self._sources: dict[int, dict[bytes, _SacnSource]] = {one: {} for one in self._slots}
 
     @property
     def universes(self) -> tuple[int, ...]:
@@ -136,7 +136,9 @@ class Levels:
         elif known is None and len(sources) >= SOURCES_MAX:
             return []
         else:
-            sources[packet.source] = _Source(packet.priority, packet.sequence, now_s, packet.levels)
+            sources[packet.source] = _SacnSource(
+                packet.priority, packet.sequence, now_s, packet.levels
+            )
         return self._changes(packet.universe)
 
     def _changes(self, universe: int) -> list[tuple[str, float]]:

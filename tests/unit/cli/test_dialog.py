@@ -4,9 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.cli.dialog import servo_table
-from lss_motion.playing.player.events import Found
+from lss_motion.playing.player.events import CheckedServo
 
-PAN = Found(
+PAN = CheckedServo(
     joint="pan",
     servo_id=7,
     model="LSS-HT1",
@@ -19,7 +19,7 @@ PAN = Found(
     speed_max_deg_s=180.0,
     accel_max_deg_s2=600.0,
 )
-SILENT = Found(
+SILENT = CheckedServo(
     joint="a_longer_name",
     servo_id=120,
     model=None,

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import EXIT_INPUT, EXIT_INTERRUPTED
-from lss_motion.system.signals import Ended, as_program, exit_code, raising
+from lss_motion.system.signals import EndedBySignal, as_program, exit_code, raising
 from tests.programs import ProgramBeside
 
 pytestmark = pytest.mark.realtime
@@ -134,7 +134,7 @@ def test_a_signal_is_not_lost_in_a_destructor(as_test_program):
             steps.append("ignored the signal")
         return 0
 
-    with pytest.raises(Ended) as caught:
+    with pytest.raises(EndedBySignal) as caught:
         as_test_program(do)
     assert caught.value.number == signal.SIGTERM
     assert steps == ["goes on"]
@@ -151,7 +151,7 @@ def test_while_a_port_is_open_the_first_signal_raises_and_the_next_ones_do_not(a
                 finally:
                     signal.raise_signal(signal.SIGINT)
                     steps.append("safe")
-        except Ended as ended:
+        except EndedBySignal as ended:
             return exit_code(ended)
         return 0
 

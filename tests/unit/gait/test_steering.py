@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.show.gait.kinematics import forward, neutral_mm
 from lss_motion.show.gait.model import PATTERNS, BodyPose
-from lss_motion.show.gait.steering import Steering, slowed_to_limits
+from lss_motion.show.gait.steering import SteeredGait, slowed_to_limits
 from lss_motion.show.gait.stepping import STILL, Twist
 
 ALL = [*PATTERNS[6], *PATTERNS[4]]
@@ -22,7 +22,7 @@ def steering(kit, pattern="tripod", **fields):
     gait = kit.gait(pattern, **fields)
     robot = kit.robot(gait)
     gait, top = slowed_to_limits(gait, robot, TOP[len(gait.legs)])
-    return Steering(gait, robot, BodyPose()), top
+    return SteeredGait(gait, robot, BodyPose()), top
 
 
 def anyhow(random, top):
@@ -153,13 +153,13 @@ def test_a_joint_with_little_range_limits_the_velocity(kit):
     joint = own.robot.joints[name]
     stiff = replace(joint, position_min_deg=-0.5, position_max_deg=0.5)
     robot = replace(own.robot, joints={**own.robot.joints, name: stiff})
-    bound = Steering(own.gait, robot, BodyPose())
+    bound = SteeredGait(own.gait, robot, BodyPose())
     assert bound.plan_towards(bound.standing(), Twist(forward_mm_s=40.0)).twist.forward_mm_s < 10.0
 
 
 def test_a_plan_that_is_too_fast_for_a_servo_is_refused_with_its_joint(kit):
     gait = kit.gait("tripod", cycle_s=0.5)
-    hasty = Steering(gait, kit.robot(gait), BodyPose())
+    hasty = SteeredGait(gait, kit.robot(gait), BodyPose())
     with pytest.raises(PlanningError, match=r"joint '.*' would need .* deg/s², allowed 900") as no:
         hasty.plan(hasty.standing(), Twist(forward_mm_s=60.0))
     assert no.value.joint in hasty.joints

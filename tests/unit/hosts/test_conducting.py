@@ -181,7 +181,7 @@ def test_a_stage_that_holds_for_a_figure_waits_for_it(evening):
 
 def test_a_cue_that_there_is_not_is_named_and_a_stop_ends_all(evening):
     evening.until(lambda: evening.playing("idle"), 30.0)
-    evening.run.take("f1", ask(s.Cue(label="nothing")))
+    evening.run.take("f1", ask(s.FireCue(label="nothing")))
     assert "f1: no cue 'nothing'; there are" in evening.texts()
     evening.run.director.do("rest", evening.world.now_ns)
     evening.until(lambda: evening.world.states() == {"stopped"}, 20.0)

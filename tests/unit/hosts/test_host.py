@@ -54,7 +54,7 @@ def conductor(tmp_path):
 
 
 def asked(host, peer, figure, number):
-    ask = Ask(operation=s.Cue(label="x"), number=number, instance="0" * 16)
+    ask = Ask(operation=s.FireCue(label="x"), number=number, instance="0" * 16)
     peer.arrivals.append(NetworkArrival("message", f"figure/{figure}/ask", packed(ask), 0))
     host.turn()
     return len(host.cues)

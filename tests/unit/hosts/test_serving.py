@@ -28,7 +28,7 @@ def stage():
         ("v 0.5", m.Rate(ratio=0.5)),
         ("j 12.5", m.Seek(to=12.5)),
         ("l bow", s.StagePlay(show="bow")),
-        ("c door", s.Cue(label="door")),
+        ("c door", s.FireCue(label="door")),
     ],
 )
 def test_a_line_is_an_operation_of_the_schema(stage, line, operation):

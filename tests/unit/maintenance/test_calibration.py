@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from lss_motion.maintenance.settings import Frame, frame_of, moved_origin
+from lss_motion.maintenance.settings import JointFrame, frame_of, moved_origin
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.write import write_frames, write_pose
 
@@ -28,13 +28,13 @@ def test_the_frame_of_a_joint_is_found_for_any_file(joint, direction, pose_deg, 
         pose_deg=pose_deg,
         pushed_deg=true.servo_deg(pose_deg + 9.0),
     )
-    assert found == Frame(zero_deg=pytest.approx(zero_deg), direction=direction)
+    assert found == JointFrame(zero_deg=pytest.approx(zero_deg), direction=direction)
 
 
 def test_too_small_a_push_gives_no_frame_and_none_keeps_the_direction(joint):
     assert frame_of(joint, servo_deg=10.0, pose_deg=0.0, pushed_deg=14.0) is None
     kept = frame_of(replace(joint, direction=-1), servo_deg=10.0, pose_deg=30.0, pushed_deg=None)
-    assert kept == Frame(zero_deg=40.0, direction=-1)
+    assert kept == JointFrame(zero_deg=40.0, direction=-1)
 
 
 @pytest.mark.parametrize("gyre", [1, -1])

@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.cli.monitor import rendered, sparkline
-from lss_motion.maintenance.monitor import Alarms, ServoState, Thresholds, Watch
+from lss_motion.maintenance.monitor import Alarms, Polling, ServoState, Thresholds
 from lss_motion.maintenance.settings import Target
 from lss_motion.playing import connection as connections
 from lss_motion.playing.player.handshake import Item
@@ -37,7 +37,7 @@ def watched(connected):
 
     def make(*specs, targets=None, for_s=2.0, on_turn=None, **options):
         connection = connected(*specs, **options)
-        watch = Watch(targets or [target(spec.servo_id) for spec in specs], connection.buses)
+        watch = Polling(targets or [target(spec.servo_id) for spec in specs], connection.buses)
         read = []
 
         def turn(watch, now_ns):
@@ -135,7 +135,7 @@ def test_two_buses_do_not_wait_for_each_other(spec, connected):
         "slow": SimPort(slow.simulated["main"], quick.clock),
     }
     targets = [replace(target(1), bus="quick"), replace(target(2), bus="slow")]
-    watch = Watch(targets, buses)
+    watch = Polling(targets, buses)
 
     def turn(watch, now_ns):
         if now_ns >= NS_PER_S:
@@ -148,7 +148,7 @@ def test_two_buses_do_not_wait_for_each_other(spec, connected):
 def test_a_moving_horn_is_seen_moving(watched, spec, connected):
     connection = connected(spec(1))
     connection.ask([Item(bus="main", command=Command(1, "D", 900, (("T", 2000),)))])
-    watch = Watch([target(1)], connection.buses)
+    watch = Polling([target(1)], connection.buses)
     statuses, speeds = set(), []
 
     def turn(watch, now_ns):
@@ -222,7 +222,7 @@ def test_another_host_is_an_alarm_and_a_late_reply_is_not(connected, spec, line,
         targets = [target(1), target(2)]
         options = {"faults": faults, "usb_latency_ns": latency_ms * 1_000_000}
         connection = connected(spec(1), spec(2), **options)
-        watch = Watch(targets, connection.buses)
+        watch = Polling(targets, connection.buses)
         until_ns = connection.clock.now_ns() + 2_000_000_000
 
         def on_turn(watch, now_ns):
@@ -244,7 +244,7 @@ def alarms_of(connected, spec):
     def texts(*faults):
         connection = connected(*map(spec, (1, 2, 3)), faults=list(faults), seed=5)
         watch, alarms = (
-            Watch([target(1), target(2), target(3)], connection.buses),
+            Polling([target(1), target(2), target(3)], connection.buses),
             Alarms(Thresholds()),
         )
         began_ns, found = connection.clock.now_ns(), []

@@ -17,7 +17,7 @@ from lss_motion.maintenance.take import (
     within,
 )
 from lss_motion.planning.trajectory.planner import plan
-from lss_motion.playing.hands_on import Reading
+from lss_motion.playing.hands_on import JointReading
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.show.write import write_sequence
@@ -33,7 +33,7 @@ def arm():
 
 def readings(curve, *, joint="base", start_ns=5 * SECOND, seconds=3.0):
     times_s = np.arange(0.003, seconds, 0.02)
-    return [Reading(joint, start_ns + int(t * 1e9), float(curve(t))) for t in times_s]
+    return [JointReading(joint, start_ns + int(t * 1e9), float(curve(t))) for t in times_s]
 
 
 def wave(t):

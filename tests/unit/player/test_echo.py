@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.playing.discovery import Listening, Step
+from lss_motion.playing.discovery import BusListening, DiscoveryStep
 from lss_motion.playing.player.echo import EchoFilter
 from lss_motion.playing.player.query_tracker import SerialLine
 from lss_motion.robot.model import Bus
@@ -47,7 +47,7 @@ def test_an_echo_is_no_garbage_on_a_line():
 
 
 def test_a_scan_hears_nothing_of_its_echo():
-    listening = Listening("main", [Step(b"\r", 0), Step(b"#254QID\r", 1_000)])
+    listening = BusListening("main", [DiscoveryStep(b"\r", 0), DiscoveryStep(b"#254QID\r", 1_000)])
     for now_ns in (0, 1):
         for data in listening.data_to_send(now_ns).values():
             listening.receive_data("main", data, now_ns)

@@ -5,9 +5,9 @@ import pytest
 from lss_motion.playing.player.servo_model import (
     HOLD_SIGNS,
     READ_BACK_NS,
+    CommonSilence,
     Probe,
     ServoSettings,
-    Silence,
 )
 
 S = 1_000_000_000
@@ -99,7 +99,7 @@ def test_moves_that_were_held_back_are_sent_on_release(state, line):
 
 
 def test_servos_that_fall_silent_together_are_told_from_those_that_are_silent_by_themselves():
-    silence = Silence()
+    silence = CommonSilence()
     assert [silence.unanswered(one) for one in (1, 2, 1, 2)] == [False, False, False, True]
     silence.answered(3)
     assert not any(silence.unanswered(one) for one in (1, 2, 1, 2, 1, 2))

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from lss_motion.playing.player.show_clock import Leg, ShowClock
+from lss_motion.playing.player.show_clock import LeaderPosition, ShowClock
 
 S = 1_000_000_000
 START_NS = 7 * S
@@ -139,7 +139,7 @@ def led(clock, seconds, *, ppm, noise_s=0.0, period_s=0.5, offset_s=0.0, start_s
         elapsed_s = start_s + turn * period_s
         true_s = 10.0 + offset_s + elapsed_s * (1.0 + ppm * 1e-6)
         stated_s = true_s + rng.gauss(0.0, noise_s)
-        clock.follow(Leg(now_ns, stated_s, 1.0 + ppm * 1e-6), now_ns)
+        clock.follow(LeaderPosition(now_ns, stated_s, 1.0 + ppm * 1e-6), now_ns)
         if elapsed_s > 60.0:
             worst_s = max(worst_s, abs(clock.show_s(now_ns) - true_s))
     return worst_s
@@ -162,7 +162,7 @@ def test_a_follower_is_trimmed_by_300_ppm_at_most_and_never_jumps():
     before_s = 10.0
     for turn in range(1, 400):
         now_ns = START_NS + turn * S // 10
-        off_s = clock.follow(Leg(now_ns, 10.5 + turn / 10.0, 1.0), now_ns)
+        off_s = clock.follow(LeaderPosition(now_ns, 10.5 + turn / 10.0, 1.0), now_ns)
         assert off_s == pytest.approx(0.5, abs=0.02)
         show_s = clock.show_s(now_ns)
         assert 0.0 < show_s - before_s < 0.1 * (1.0 + 301e-6)
@@ -173,11 +173,11 @@ def test_a_follower_is_trimmed_by_300_ppm_at_most_and_never_jumps():
 
 def test_a_clock_that_stands_or_ramps_is_not_trimmed_and_keeps_its_trim_over_a_pause():
     clock = ShowClock(START_NS, 10.0, 1.0)
-    clock.follow(Leg(START_NS + S, 11.0, 1.0002), START_NS + S)
+    clock.follow(LeaderPosition(START_NS + S, 11.0, 1.0002), START_NS + S)
     assert clock.trim_ratio == pytest.approx(200e-6, rel=0.1)
     clock.ramp_to(0.0, START_NS + 2 * S, 0.4)
-    assert clock.follow(Leg(START_NS + 2 * S, 12.0, 1.0), START_NS + 2 * S + 1) is None
-    assert clock.follow(Leg(START_NS + 3 * S, 12.0, 1.0), START_NS + 3 * S) is None
+    assert clock.follow(LeaderPosition(START_NS + 2 * S, 12.0, 1.0), START_NS + 2 * S + 1) is None
+    assert clock.follow(LeaderPosition(START_NS + 3 * S, 12.0, 1.0), START_NS + 3 * S) is None
     clock.ramp_to(1.0, START_NS + 4 * S, 0.4)
     at_ns = START_NS + 5 * S
     gained_s = clock.show_s(at_ns + 100 * S) - clock.show_s(at_ns) - 100.0

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.show.load import load_sequence
-from lss_motion.show.model import Cue, Interpolation, Keyframe, Sequence, SoundStyle, Step
+from lss_motion.show.model import Cue, Interpolation, Keyframe, PlaylistStep, Sequence, SoundStyle
 from lss_motion.show.write import sequence_text, write_sequence
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def test_tracks_are_written_below_their_names(folder: Path, sequence: Sequence) 
 
 def test_play_lists_and_layers_cannot_be_written(folder: Path, sequence: Sequence) -> None:
     with pytest.raises(InputError, match="play lists and layers cannot be written"):
-        sequence_text(Sequence(name="x", play=(Step(sequence=sequence),)), folder)
+        sequence_text(Sequence(name="x", play=(PlaylistStep(sequence=sequence),)), folder)
 
 
 def test_escalations_are_written(folder: Path, sequence: Sequence) -> None:

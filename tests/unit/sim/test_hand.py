@@ -8,7 +8,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
-from lss_motion.sim.hand import Hand, hand_from_seed, hand_of
+from lss_motion.sim.hand import HandMotion, hand_from_seed, hand_of
 
 ARM = Path(__file__).resolve().parents[3] / "sequences" / "robots" / "desk_arm.yaml"
 SECOND = 1_000_000_000
@@ -26,7 +26,7 @@ def bus_led_by(arm, hand):
     return bus
 
 
-RAMP = Hand(np.array([0.0, 1.0, 3.0]), {"shoulder": np.array([0.0, 0.0, 40.0])})
+RAMP = HandMotion(np.array([0.0, 1.0, 3.0]), {"shoulder": np.array([0.0, 0.0, 40.0])})
 
 
 def test_a_limp_horn_is_where_the_hand_is_and_stays_where_it_let_go(arm):

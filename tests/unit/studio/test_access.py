@@ -7,11 +7,11 @@ import pytest
 from lss_motion.studio.access import (
     CODE_TRIES,
     CODE_VALID_S,
-    Asked,
     Denied,
     Door,
     Pairing,
     Purpose,
+    RequestClaims,
     Role,
     asked_of,
     decide,
@@ -63,7 +63,9 @@ TABLE = [
 @pytest.mark.parametrize("row", TABLE)
 def test_the_table_of_requests(row):
     purpose, host, origin, site, cookie, bearer, answer = row
-    asked = Asked(purpose, host, origin=origin, fetch_site=site, cookie=cookie, bearer=bearer)
+    asked = RequestClaims(
+        purpose, host, origin=origin, fetch_site=site, cookie=cookie, bearer=bearer
+    )
     found = decide(asked, DOOR)
     assert (found.status if isinstance(found, Denied) else found) == answer
     assert isinstance(found, Denied) == isinstance(answer, int) or isinstance(answer, Role)
@@ -78,7 +80,7 @@ def test_headers_become_what_is_asked():
         "authorization": f"Bearer {TOKEN}",
     }
     asked = asked_of(P.SOCKET, headers, DOOR)
-    assert asked == Asked(P.SOCKET, HOST, ORIGIN, "same-origin", VIEWER, TOKEN)
+    assert asked == RequestClaims(P.SOCKET, HOST, ORIGIN, "same-origin", VIEWER, TOKEN)
     assert asked_of(P.DATA, {"authorization": f"Basic {TOKEN}"}, DOOR).bearer is None
 
 

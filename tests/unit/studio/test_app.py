@@ -15,7 +15,7 @@ from lss_motion.studio.access import Door, Pairing, Role, make_cookie, new_token
 from lss_motion.studio.app import make_app
 from lss_motion.studio.document import Document
 from lss_motion.studio.hub import Hub
-from lss_motion.studio.planner import Reply, Request
+from lss_motion.studio.planner import PlannerReply, Request
 from lss_motion.studio.studio import Studio
 from lss_motion.studio.web import BODY_MAX_BYTES, Address
 
@@ -58,7 +58,9 @@ def studio(tmp_path):
     studio.hub.desk = studio.desk
     path = tmp_path / "show" / "wave.yaml"
     studio.document = Document(Request(number=0, path=path), lambda _: None, lambda: None)
-    studio.document.take(Reply(number=1, plan=PLAN, view=b'{"plan": 1}', robot=b'{"name": "a"}'))
+    studio.document.take(
+        PlannerReply(number=1, plan=PLAN, view=b'{"plan": 1}', robot=b'{"name": "a"}')
+    )
     return studio
 
 

@@ -14,7 +14,7 @@ from lss_motion.studio.access import Role
 from lss_motion.studio.desk import Desk, DeskOptions
 from lss_motion.studio.document import Document
 from lss_motion.studio.hub import Hub
-from lss_motion.studio.planner import Reply, Request
+from lss_motion.studio.planner import PlannerReply, Request
 
 PLAN = "0123456789abcdef"
 
@@ -78,7 +78,7 @@ class DeskStage:
     def plan(self, **fields):
         given = {"plan": PLAN, "job": b"show", "live_job": b"live", "scan_job": b"scan"}
         reply = {"robot": b"{}", "is_simulated": True, "port": "sim://", **given, **fields}
-        self.document.take(Reply(number=1, **reply))
+        self.document.take(PlannerReply(number=1, **reply))
 
     def ask(self, op, **fields):
         """Send an operation; return its answer, None if it has none yet."""
@@ -110,7 +110,7 @@ def stage(tmp_path, monkeypatch):
 
 def test_a_show_is_played_once_it_is_planned(stage):
     assert "being planned" in stage.ask("play")
-    stage.document.take(Reply(number=1, problems=(("swing.yaml", 4, "no"),)))
+    stage.document.take(PlannerReply(number=1, problems=(("swing.yaml", 4, "no"),)))
     assert "swing.yaml:4: there is no plan: no" in stage.ask("play")
     stage.plan(functions=("tricks:wave",))
     assert "--allow-run" in stage.ask("play")

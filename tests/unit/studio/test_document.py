@@ -12,7 +12,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.studio.document import VIEWS_MAX, Document
-from lss_motion.studio.planner import Reply, Request, reply_to
+from lss_motion.studio.planner import PlannerReply, Request, reply_to
 from lss_motion.studio.planning import DIED, Planner
 
 EXAMPLES = Path("sequences").resolve()
@@ -130,7 +130,7 @@ def asked():
 def test_a_change_on_disk_is_planned_again_and_the_last_good_plan_stays(folder, asked):
     document = Document(Request(number=0, path=folder / "swing.yaml"), asked.append, asked.tell)
     assert len(asked) == 1
-    document.take(Reply(number=1, plan="a", view=b"1", files=(folder / "arm.yaml",)))
+    document.take(PlannerReply(number=1, plan="a", view=b"1", files=(folder / "arm.yaml",)))
     document.look()
     assert len(asked) == 1
     message = document.message()
@@ -142,7 +142,7 @@ def test_a_change_on_disk_is_planned_again_and_the_last_good_plan_stays(folder, 
     assert document.message().is_planning
     assert not document.message().is_current
     wrong = (str(folder / "arm.yaml"), 4, "no"), (str(folder.parent / "x.yaml"), None, "far")
-    document.take(Reply(number=2, problems=wrong, files=(folder.parent / "x.yaml",)))
+    document.take(PlannerReply(number=2, problems=wrong, files=(folder.parent / "x.yaml",)))
     message = document.message()
     assert (message.plan, message.is_current) == ("a", False)
     assert [(one.path, one.line) for one in message.errors] == [
@@ -152,22 +152,22 @@ def test_a_change_on_disk_is_planned_again_and_the_last_good_plan_stays(folder, 
     Path(folder, "arm.yaml").write_text(ROBOT)
     document.look()
     assert len(asked) == 3, "what was included is looked at while there is an error"
-    document.take(Reply(number=3, problems=wrong))
+    document.take(PlannerReply(number=3, problems=wrong))
     Path(folder, "new.yaml").write_text("")
     document.look()
     assert len(asked) == 4, "and files that come to be"
     revision = document.revision
-    document.take(Reply(number=3, plan="b", view=b"2"))
+    document.take(PlannerReply(number=3, plan="b", view=b"2"))
     assert document.revision == revision
     assert (document.view("a"), document.view("b")) == (b"1", b"2")
     for number in range(VIEWS_MAX):
-        document.take(Reply(number=4, plan=str(number), view=b"3"))
+        document.take(PlannerReply(number=4, plan=str(number), view=b"3"))
     assert document.view("a") is None
 
 
 def test_only_files_below_the_folder_are_opened(folder, asked):
     document = Document(Request(number=0, path=folder / "swing.yaml"), asked.append, asked.tell)
-    document.take(Reply(number=1, plan="a", view=b"1"))
+    document.take(PlannerReply(number=1, plan="a", view=b"1"))
     for name in ("../swing.yaml", "/etc/passwd", "none.yaml", "\0", "x" * 5000 + ".yaml", "."):
         with pytest.raises(InputError):
             document.load(name)

@@ -163,9 +163,9 @@ def test_events_keep_their_order_and_a_client_that_is_too_slow_is_closed(hub):
 
     taken(fast)
     hub.offer_telemetry(b"old")
-    hub.broadcast(m.Warned(text="a"))
+    hub.broadcast(m.WarningRaised(text="a"))
     hub.offer_telemetry(b"new")
-    hub.broadcast(m.Warned(text="b"))
+    hub.broadcast(m.WarningRaised(text="b"))
     got = [asyncio.run(next_of(fast)) for _ in range(3)]
     assert [json.loads(text)["text"] for text in got[:2]] == ["a", "b"]
     assert got[2] == b"new"
@@ -173,7 +173,7 @@ def test_events_keep_their_order_and_a_client_that_is_too_slow_is_closed(hub):
     taken(late)
     assert asyncio.run(next_of(late)) == b"new", "where the robot stands, also when it is over"
     for _ in range(EVENTS_MAX):
-        hub.broadcast(m.Warned(text="c"))
+        hub.broadcast(m.WarningRaised(text="c"))
         taken(fast)
     assert asyncio.run(next_of(slow)) is None
     assert not fast.is_overrun

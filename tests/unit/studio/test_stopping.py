@@ -9,7 +9,7 @@ import pytest
 from lss_motion.playing.remote import schema as m
 from lss_motion.studio import stopping
 from lss_motion.studio.latch import Latch, latch_file
-from lss_motion.studio.stop import Latched, Rearm, Stopper, StopPlayers
+from lss_motion.studio.stop import Latched, RearmPlayers, Stopper, StopPlayers
 from lss_motion.studio.stopping import StopProcess
 from lss_motion.system.messages import Kind, MessagePipe
 
@@ -86,7 +86,7 @@ class Child:
         return answers
 
     def do(self, message):
-        if isinstance(message, Rearm):
+        if isinstance(message, RearmPlayers):
             self.latch.clear()
         else:
             self.latch.keep(message.kind)
@@ -168,6 +168,6 @@ def test_a_process_that_is_started_again_finds_the_latch_and_gets_what_was_not_d
         second.has_ended = True
         own._read()
         await asyncio.sleep(0.01)
-        assert Child.all[2].sent == ["settings", Rearm()]
+        assert Child.all[2].sent == ["settings", RearmPlayers()]
 
     stops(script)

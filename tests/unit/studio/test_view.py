@@ -15,7 +15,7 @@ import lss_motion as lss
 from lss_motion.planning.program.verify import driven, profiles
 from lss_motion.planning.shows import Show
 from lss_motion.robot.profile import profile_lead_s
-from lss_motion.studio.view import Window, view_of
+from lss_motion.studio.view import ViewWindow, view_of
 from lss_motion.studio.view_curves import Curve
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
@@ -183,7 +183,7 @@ def test_a_repeated_part_is_in_the_view_once(tmp_path, loop, times):
         [n + 2 * k for k in range(len(keys) // 3) for n in range(3)]
     )
     assert keys[-1]["at_s"] == pytest.approx(view["view_s"], abs=1e-3)
-    window = Window(values[2])
+    window = ViewWindow(values[2])
     in_the_middle_s = 2.0 * (window.repeat["to_s"] + 1.0)
     assert window.written(in_the_middle_s) is None
     if times is not None:

@@ -10,7 +10,7 @@ from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 from lss_motion.system import computer
 from lss_motion.system.computer import Level
-from lss_motion.system.devices import Device
+from lss_motion.system.devices import SerialDevice
 
 US = 1000
 
@@ -50,7 +50,7 @@ def test_packages_are_compared_with_the_required_ones():
 def test_a_port_without_permission_names_the_group(monkeypatch, capsys):
     import grp
 
-    port = Device(path="/dev/null", name="FT232R USB UART (A5XK)", is_usb=True)
+    port = SerialDevice(path="/dev/null", name="FT232R USB UART (A5XK)", is_usb=True)
     monkeypatch.setattr(computer, "list_devices", lambda: [port])
     monkeypatch.setattr(computer, "JITTER_WAITS", 5)
     assert only(computer.check_ports()).level is Level.OK

@@ -12,7 +12,7 @@ from lss_motion.errors import BusError
 from lss_motion.playing.connection import connect
 from lss_motion.robot.model import Bus
 from lss_motion.system import devices
-from lss_motion.system.devices import Device, opened_name
+from lss_motion.system.devices import SerialDevice, opened_name
 
 
 @pytest.fixture
@@ -104,13 +104,17 @@ def test_one_port_that_is_refused_leaves_all_others_closed(terminal, monkeypatch
 
 
 FOUND = [
-    Device(path="/dev/ttyUSB0", name="FTDI FT232R (A50285)", is_usb=True, hardware="0403:6001"),
-    Device(path="/dev/ttyUSB1", name="FTDI FT232R (B11111)", is_usb=True, hardware="0403:6001"),
+    SerialDevice(
+        path="/dev/ttyUSB0", name="FTDI FT232R (A50285)", is_usb=True, hardware="0403:6001"
+    ),
+    SerialDevice(
+        path="/dev/ttyUSB1", name="FTDI FT232R (B11111)", is_usb=True, hardware="0403:6001"
+    ),
 ]
 
 
 def test_a_usb_device_is_found_by_a_part_of_its_name_if_it_is_the_only_one(terminal, monkeypatch):
-    ours = Device(path=terminal, name="FTDI FT232R (C.3)", is_usb=True, hardware="0403:6002")
+    ours = SerialDevice(path=terminal, name="FTDI FT232R (C.3)", is_usb=True, hardware="0403:6002")
     monkeypatch.setattr(devices, "list_devices", lambda: [*FOUND, ours])
     for text in ("c.3", "0403:6002"):
         assert opened_name(f"hwgrep://{text}") == terminal

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.system.service import MARK, Notifier, Unit, quoted, unit_text
+from lss_motion.system.service import MARK, Notifier, ServiceUnit, quoted, unit_text
 
-UNIT = Unit(
+UNIT = ServiceUnit(
     stage="hall 100 %",
     command=("/usr/bin/env", "python3", "/home/me/my show/hall's.yaml", "--wait-port"),
     folder=Path("/tmp"),

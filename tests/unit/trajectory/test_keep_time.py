@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory.planner import plan
-from lss_motion.show.model import Cue, Layer, Step, Timing
+from lss_motion.show.model import Cue, Layer, PlaylistStep, Timing
 from tests.unit.trajectory.shows import at, show, trapezoid_s
 
 BASE = frozenset({"base"})
@@ -245,7 +245,9 @@ def test_tracks_and_play_lists_carry_what_is_given_up(make_robot, frame):
     robot = make_robot()
     arm = show(frame(0.0, elbow=0.0), frame(1.0, elbow=20.0), frame(2.0, elbow=0.0), name="arm")
     whole = show(name="whole", tracks=(talk(frame, name="jaw"), arm))
-    twice = show(name="list", play=(Step(pause_s=1.0), Step(sequence=whole, times=2)))
+    twice = show(
+        name="list", play=(PlaylistStep(pause_s=1.0), PlaylistStep(sequence=whole, times=2))
+    )
     trajectory = plan(twice, robot)
     own_s = plan(whole, robot).duration_s
     first, second = trajectory.given_up

@@ -14,7 +14,7 @@ from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.playlist import all_cues
 from lss_motion.planning.trajectory.verify import verify
-from lss_motion.show.model import Cue, Layer, Sequence, Step
+from lss_motion.show.model import Cue, Layer, PlaylistStep, Sequence
 from tests.unit.trajectory.shows import at, blink, show
 
 
@@ -238,7 +238,7 @@ def test_layers_on_endless_tracks_that_never_rest_are_refused(make_robot, frame)
 
 def test_layers_can_be_on_top_of_tracks_and_play_lists(make_robot, frame):
     tracked = show(frame(0.0, base=0.0), frame(2.0, base=30.0), tracks=(blink(frame, loop=2),))
-    listed = Sequence(name="list", play=(Step(sequence=tracked), Step(pause_s=1.0)))
+    listed = Sequence(name="list", play=(PlaylistStep(sequence=tracked), PlaylistStep(pause_s=1.0)))
     nod = show(frame(0.0, base=0.0), frame(1.0, base=10.0), frame(2.0, base=0.0), name="nod")
     robot = make_robot()
     trajectory = plan(

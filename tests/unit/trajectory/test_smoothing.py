@@ -12,7 +12,7 @@ from lss_motion.errors import PlanningError
 from lss_motion.planning.summaries import plan_lines
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import verify
-from lss_motion.show.model import Layer, Sequence, Step, Timing
+from lss_motion.show.model import Layer, PlaylistStep, Sequence, Timing
 from tests.unit.trajectory.shows import at, show
 
 STEP_S = 0.001
@@ -185,7 +185,7 @@ def test_layers_are_summed_without_a_jump(nod, frame, make_robot):
 
 def test_the_moves_of_a_play_list_have_no_jump(nod, frame, make_robot):
     bow = show(frame(0.0, base=20.0, elbow=0.0), frame(1.0, base=30.0), name="bow", smooth_s=0.1)
-    steps = (Step(sequence=replace(nod, smooth_s=0.1)), Step(sequence=bow))
+    steps = (PlaylistStep(sequence=replace(nod, smooth_s=0.1)), PlaylistStep(sequence=bow))
     trajectory = plan(Sequence(name="list", play=steps), make_robot())
     assert jerk_of(trajectory).max() <= 1.001 * 12_000.0
 

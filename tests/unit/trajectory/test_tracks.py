@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.planning.trajectory.verify import verify
-from lss_motion.show.model import Layer, Sequence, Step, Timing
+from lss_motion.show.model import Layer, PlaylistStep, Sequence, Timing
 from tests.unit.trajectory.shows import at, blink, show, trapezoid_s
 
 
@@ -419,7 +419,7 @@ def test_a_missed_anchor_of_a_track_is_refused(make_robot, frame):
 def test_a_track_holds_nothing_but_keyframes(make_robot, frame, part):
     inner = {
         "tracks": (blink(frame),),
-        "play": (Step(pause_s=1.0),),
+        "play": (PlaylistStep(pause_s=1.0),),
         "layers": (Layer(sequence=blink(frame), joints=("elbow",)),),
     }
     track = replace(blink(frame), **{part: inner[part]})
