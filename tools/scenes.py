@@ -168,6 +168,7 @@ def look(page: Page, own: str, theme: str, size: tuple[int, int]) -> None:
         f"document.querySelector('[aria-label=\"{theme.title()} theme\"]')?.click()"
     )
     page.idle()
+    page.wait("!document.body.innerText.includes('Loading…')")
     page.wait(
         "(['.figure-stage canvas', '.quiet', '.page > p', '.boot', '.stand:empty']"
         ".some((one) => document.querySelector(one) !== null))"
@@ -190,7 +191,7 @@ def pages_of(name: str) -> tuple[str, ...]:
 
 
 def of_a_show(browser: Browser, folder: Path) -> Iterator[Scene]:
-    """At rest, preparing, waiting for GO, playing, paused, stopped, emergency stop, connected."""
+    """Go from at rest through preparing, GO, playing, paused and both stops to connected."""
     ghost = Ghost(folder)
     with ExitStack() as stack:
         ghost.plug()
@@ -209,7 +210,12 @@ def of_a_show(browser: Browser, folder: Path) -> Iterator[Scene]:
         own.page.wait("document.querySelector('[data-now]')?.textContent === 'looks at you'")
         own.page.key(" ")
         yield own.is_in("paused")
+        own.page.key(" ")
+        own.is_in("playing")
+        os.kill(player := _part(own, PLAYER), signal.SIGSTOP)
         own.page.key("Escape")
+        yield own.is_in("stopping")
+        os.kill(player, signal.SIGCONT)
         yield own.is_in("stopped")
         yield from _rearmed(own, "stopped")
         own.page.key("Enter")
@@ -279,7 +285,7 @@ def _plays(own: Opened) -> None:
 
 
 def of_gone(browser: Browser, folder: Path) -> Iterator[Scene]:
-    """Go through planner gone and server gone."""
+    """Go through planner frozen, planner gone and server gone."""
     Ghost(folder)
     show = folder / "scare.yaml"
     with ExitStack() as stack:
@@ -288,7 +294,8 @@ def of_gone(browser: Browser, folder: Path) -> Iterator[Scene]:
         planner = _part(own, PLANNER)
         os.kill(planner, signal.SIGSTOP)
         show.write_text(show.read_text("utf-8") + "# changed\n", "utf-8")
-        own.page.wait("document.querySelector('.chip-busy')")
+        own.page.wait("document.querySelector('.chips').textContent.includes('has not answered')")
+        yield own.is_in("at_rest")._replace(name="planner_frozen")
         os.kill(planner, signal.SIGKILL)
         os.kill(_part(own, PLANNER, planner), signal.SIGKILL)
         yield own.is_in("planner_gone")
@@ -297,7 +304,7 @@ def of_gone(browser: Browser, folder: Path) -> Iterator[Scene]:
 
 
 def of_a_stage(browser: Browser, folder: Path) -> Iterator[Scene]:
-    """Go through a stage that waits for its cable, plays, and rests in quiet hours."""
+    """Go through a stage that waits for its cable, plays, rests in quiet hours, and gives up."""
     ghost = Ghost(folder)
     hall = folder / "hall.yaml"
     hall.write_text(STAGE.format(quiet=""), "utf-8")
@@ -318,6 +325,18 @@ def of_a_stage(browser: Browser, folder: Path) -> Iterator[Scene]:
         own.page.wait("document.querySelector('.state-detail').textContent.includes('quiet hours')")
         own.click("Wake")
         yield own.is_in("rests")._replace(name="quiet_hours")
+    (again := folder / "again").mkdir()
+    deaf = Fault(kind=FaultKind.DEAF, servo_id=3, at_s=FAULT_AT_S)
+    ghost = Ghost(again, deaf, "{silent: [hold], astray: [hold]}")
+    hall = again / "hall.yaml"
+    hall.write_text(STAGE.format(quiet="").replace("total: 1", "total: 0"), "utf-8")
+    with ExitStack() as stack:
+        own = stack.enter_context(opened(browser, hall, "--wait-port", command="serve"))
+        own.is_in("waits")
+        ghost.plug()
+        stack.callback(ghost.unplug)
+        own.is_in("playing", 90.0)
+        yield own.is_in("fault", 90.0)._replace(name="stage_given_up")
 
 
 def of_dialogs(browser: Browser, folder: Path) -> Iterator[Scene]:

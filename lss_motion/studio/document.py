@@ -6,6 +6,7 @@ when it has an error, the last good plan stays: it can be seen and played.
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -44,6 +45,7 @@ class Document:
         self._views: dict[str, bytes] = {}
         self._stamps: dict[Path, Stamp] = {}
         self._is_planning = self._is_current = False
+        self._asked_s = 0.0
         self._plan()
 
     @property
@@ -149,6 +151,7 @@ class Document:
             kind=newest.kind,
             title=newest.title,
             is_planning=self._is_planning,
+            planning_s=time.monotonic() - self._asked_s if self._is_planning else 0.0,
             errors=tuple(
                 m.Problem(path=self._shown(path), line=line, text=text)
                 for path, line, text in newest.problems
@@ -165,6 +168,7 @@ class Document:
         """Plan the file as it is on disk now."""
         self.revision += 1
         self._is_planning, self._is_current = True, False
+        self._asked_s = time.monotonic()
         self._stamps = {path: _stamp(path) for path in {*self._stamps, *self._first()}}
         self._ask(self._request)
         self._changed()

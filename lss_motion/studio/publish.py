@@ -353,8 +353,8 @@ def _static(name: str) -> str:
 def _scripts() -> str:
     """Return the modules that draw a figure as one script, and what plays."""
     parts = []
-    for name in MODULES:
-        text = _static(f"figure/{name}.js")
+    for name in (*(f"figure/{own}.js" for own in MODULES), "published.js"):
+        text = _static(name)
         text = re.sub(r"^import .*?;\n", "", text, flags=re.MULTILINE | re.DOTALL)
         parts.append(re.sub(r"^export ", "", text, flags=re.MULTILINE))
-    return "(() => {\n" + "\n".join([*parts, _static("published.js")]) + "\n})();"
+    return "(() => {\n" + "\n".join(parts) + "\n})();"

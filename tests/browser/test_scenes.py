@@ -118,6 +118,9 @@ SAID = {
     "quiet_hours": "quiet hours (until ",
     "stage_waits": "for the cable of the robot",
     "no_link": "STOP is still sent",
+    "planner_frozen": "the planner has not answered for ",
+    "stage_given_up": "arm is silent: servo 3 has not answered",
+    "stopping": "brakes",
 }
 """What a page has to say in a scene, on the Show page."""
 

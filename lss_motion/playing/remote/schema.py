@@ -437,6 +437,8 @@ class DocumentChanged(Event, frozen=True, kw_only=True, tag="document"):
     kind: FileKind
     title: str
     is_planning: bool
+    planning_s: float
+    """How long the planner has worked on this revision; 0 when it has answered."""
     errors: tuple[Problem, ...]
     notes: tuple[str, ...]
     plan: str | None

@@ -35,6 +35,8 @@ export class ServerLink {
   /** @type {string | null} */
   #plan = null;
   #robot = -1;
+  /** When the planner was asked for what it has not answered yet. */
+  #asked_ms = 0;
 
   /** @param {Store} store */
   constructor(store) {
@@ -134,6 +136,7 @@ export class ServerLink {
       this.#retry_ms = RETRY_MS;
       setStopOrigin(event.stop_origin);
     }
+    if (event.event === "document") this.#asked_ms = performance.now() - 1000 * event.planning_s;
     if (event.event === "player") confirmStop(event.latch !== null);
     if (event.event === "started") {
       this.#store.readings.reset(event.joints.length);
@@ -176,11 +179,14 @@ export class ServerLink {
     else waiting.reject(error);
   }
 
-  /** Once a second: say that this page is alive, and look whether the server is. */
+  /** Once a second: say that this page is alive, and look whether server and planner are. */
   #watch() {
     if (this.#socket === null) return;
     this.#post({ op: "beat" });
-    const { status } = this.#store.state.value.link;
+    const { link: { status }, document: own } = this.#store.state.value;
+    if (own?.is_planning && status === "open") {
+      this.#store.dispatch({ type: "waited_on_planner", planning_s: (performance.now() - this.#asked_ms) / 1000 });
+    }
     if (status === "open" && performance.now() - this.#heard_ms > SILENT_MS) this.#lose("the server does not answer");
   }
 

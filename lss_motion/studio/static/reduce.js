@@ -68,8 +68,15 @@ export function reduce(state, action) {
     const at_s = Number(action["at_s"]);
     return { ...state, cursor_s: Math.min(Math.max(at_s, 0), end_s) };
   }
+  if (action.type === "waited_on_planner") return afterSilence(state, Number(action["planning_s"]));
   if (action.type === "view") return afterView(state, /** @type {any} */ (action)["view"]);
   throw new Error(`no action ${action.type}`);
+}
+
+/** The planner has not answered for so long. @param {State} state @param {number} planning_s @returns {State} */
+function afterSilence(state, planning_s) {
+  const own = state.document;
+  return own === null || !own.is_planning ? state : { ...state, document: { ...own, planning_s } };
 }
 
 /** @param {State} state @param {import("./state.js").View} view @returns {State} */

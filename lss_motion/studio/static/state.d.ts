@@ -58,7 +58,7 @@ export type Telemetry = {
 };
 export type Trouble = { number: number; kind: "fault" | "warning" | "note"; joint?: string; at_s: number | null; text: string; done: string };
 export type Document = {
-  revision: number; file: string; kind: string; title: string; is_planning: boolean;
+  revision: number; file: string; kind: string; title: string; is_planning: boolean; planning_s: number;
   errors: { path: string; line: number | null; text: string }[]; notes: string[];
   plan: string | null; is_current: boolean; has_planner: boolean; summary: string[]; robot: number;
 };

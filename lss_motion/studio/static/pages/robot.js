@@ -49,7 +49,7 @@ function usePlayedAngles(store, isPlaying) {
   const [angles, setAngles] = useState(/** @type {LiveRobot["joints"]} */ ({}));
   useEffect(() => {
     if (!isPlaying) return undefined;
-    const timer = window.setInterval(() => {
+    const read = () => {
       const telemetry = store.telemetry.peek();
       const names = store.state.peek().started?.joints ?? [];
       if (telemetry === null) return;
@@ -61,7 +61,9 @@ function usePlayedAngles(store, isPlaying) {
           }),
         ),
       );
-    }, READING_MS);
+    };
+    read();
+    const timer = window.setInterval(read, READING_MS);
     return () => window.clearInterval(timer);
   }, [store, isPlaying]);
   return angles;

@@ -135,7 +135,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
     event=${maintenance}
     ...${{ mayMove, why, act }}
   />`;
-  return html`<main class="page robot-page">
+  return html`<main class=${`page robot-page ${isShort ? "robot-short" : ""}`}>
     <header class="robot-head">
       <h1>${robot.name}</h1>
       <p role="status">
@@ -160,7 +160,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
       <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Drag a slider, or hold + or −, to turn a joint; let go to stop it."}</p>
     </header>
     <div class="robot-side">
-      <${FigureBox} robot=${robot} live=${live} schedule=${schedule} theme=${theme} />
+      <div class="robot-look"><${FigureBox} robot=${robot} live=${live} schedule=${schedule} theme=${theme} /></div>
       <${PoseList} poses=${robot.poses} mayMove=${mayMove} why=${why} act=${act} ask=${ask} />
     </div>
     <div class="robot-main">

@@ -3,7 +3,7 @@
 
 import { html } from "../vendor/preact.js";
 import { stateOf } from "../states.js";
-import { FileLine } from "./text.js";
+import { FileLine, silenceOf } from "./text.js";
 
 /** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
 
@@ -32,12 +32,18 @@ export function Header({ state, actions }) {
       ${player.latch === null || state.link.status === "lost" ? null : html`<button type="button" class="rearm" disabled=${player.state === "stopping"}
         onClick=${() => actions.askRearm()}>Arm again…</button>`}
       <span class="chips">
-        ${own?.is_planning ? html`<span class="chip chip-busy" role="status">planning…</span>` : null}
+        ${own?.is_planning ? html`<${Planning} planning_s=${own.planning_s} />` : null}
         ${own && own.errors.length > 0 ? html`<span class="chip chip-bad">▲ ${own.errors.length === 1 ? "1 error" : `${own.errors.length} errors`} in the file</span>` : null}
         ${own && !own.is_current && !own.is_planning && own.plan ? html`<span class="chip chip-warn">◆ the last good plan is shown</span>` : null}
         ${state.robot_state?.is_simulated ? html`<span class="chip">simulated robot</span>` : null}
       </span></div>
   </header>`;
+}
+
+/** That the file is planned; and since when, where the planner may stand still. @param {{ planning_s: number }} props */
+function Planning({ planning_s }) {
+  const text = silenceOf(planning_s);
+  return html`<span class=${`chip ${text === "" ? "chip-busy" : "chip-warn"}`} role="status">${text === "" ? "planning…" : `◆ ${text}`}</span>`;
 }
 
 /** The state in its word and its colour, and what a person needs to know besides.

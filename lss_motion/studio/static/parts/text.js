@@ -26,9 +26,20 @@ export function FileText({ file, line }) {
     ref=${index + 1 === line ? marked : undefined} aria-current=${index + 1 === line ? "true" : undefined}>${own || " "}</li>`)}</ol>`;
 }
 
+/** A plan of an ordinary show takes less: longer is worth a word. */
+const PATIENCE_S = 4;
+
+/** That the planner has not answered for long; "" as long as that is normal. @param {number} planning_s */
+export function silenceOf(planning_s) {
+  return planning_s < PATIENCE_S ? "" : `the planner has not answered for ${Math.floor(planning_s)} s`;
+}
+
 /** Why there is nothing to show, and what to do. @param {import("../state.js").State} state */
 export function whyNoPlan({ document: own }) {
-  if (own === null || own.is_planning) return "The file is being planned…";
+  if (own === null || own.is_planning) {
+    const silence = silenceOf(own?.planning_s ?? 0);
+    return `The file is being planned…${silence === "" ? "" : ` ${silence[0]?.toUpperCase()}${silence.slice(1)}.`}`;
+  }
   if (own.kind === "robot") return "This is a robot file, which has no show. Open a sequence, a gait or a play list; the Robot page moves this robot.";
   if (own.kind === "stage") return `This is a stage: many shows on cues. It is run by: lss-motion serve ${own.file}. To look at one of its shows, open its file.`;
   if (own.errors.length > 0) return "There is no plan: the file has an error, which stands above.";
