@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from lss_motion.sound.files import SoundPart
 
 FORMATS_IN: Final = (
-    "rhubarb, papagayo, praat, xlights, audacity, "
+    "d6a, lerobot, numpy, mcap, rhubarb, papagayo, praat, xlights, audacity, "
     "bitbots, hulks, pypot, blender, bottango, webots, bvh, mtn, maestro, ssc32-csv, pypose, ros, "
-    "csv, commands, d6a, lerobot, opencat, poses, robotis-bin"
+    "csv, commands, opencat, poses, robotis-bin"
 )
 """The names of `interchange.FORMAT_NAMES`, which loads too slowly for a help text; a test
 compares them."""

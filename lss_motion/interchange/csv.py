@@ -1,11 +1,10 @@
 """CSV tables: wide (`time_s,<joint>_deg,…`) and long (`time_s,servo,deg[,ease]`).
 
-The time column is `time`, `t`, `timestamp` or the like, in seconds, or in the unit of its name; its
-cells may be `hh:mm:ss` or ISO 8601. It may be `frame` after a line `# fps: N`. Units end a name
-(`_deg`, `_rad`, `_us`, `_ms`) or stand in brackets: `elbow (rad)`. A column without a unit is in
-degrees, as in the tables of `lss-motion plan --csv`; a unit that is not known is refused. The
-separator is a comma, a semicolon, a tab or blanks. Decimal commas are allowed if the separator is
-not a comma. An empty cell sets no key. The header may be a comment, as of `numpy.savetxt`.
+`columns` says what names and units mean. The time column is `time`, `t`, `timestamp` or the like;
+it may be `frame` after a line `# fps: N`. Units stand in the names or in a row below them. The
+separator is a comma, a semicolon, a tab or blanks; a line `sep=;` of a spreadsheet changes nothing.
+Decimal commas are allowed if the separator is not a comma. An empty cell sets no key. The header
+may be a comment, as of `numpy.savetxt`. Speeds and forces are left out.
 """
 
 from __future__ import annotations
@@ -13,15 +12,30 @@ from __future__ import annotations
 import csv
 import re
 from array import array
-from datetime import UTC, datetime
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.interchange.fields import VALUE_MAX, TextLines, is_number, text_head
+from lss_motion.interchange.columns import (
+    ANGLE_UNITS,
+    assumed_units,
+    is_instant,
+    is_other_measure,
+    is_time_name,
+    is_time_text,
+    name_and_unit,
+    seconds_at,
+    seconds_of,
+    stamp_pair,
+    unit_of_column,
+    with_units,
+)
+from lss_motion.interchange.fields import TextLines, is_number, text_head
 from lss_motion.interchange.reader import (
     DIGITS,
     FPS_MAX,
@@ -36,140 +50,30 @@ from lss_motion.interchange.reader import (
     summarised,
 )
 from lss_motion.show.model import Interpolation
+from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from lss_motion.interchange.reader import FloatArray, IntArray
 
 
-_TIMES: Final = frozenset(
-    {"time", "t", "ts", "timestamp", "timestamps", "time_stamp", "stamp", "datetime", "elapsed",
-     "elapsed_time", "time_elapsed", "epoch", "sec", "secs", "second", "seconds"}
-)  # fmt: skip
-"""Names of a time column, without a unit."""
-
-_TIME_WORDS: Final = frozenset(
-    {"time", "times", "timestamp", "timestamps", "stamp", "datetime", "date", "elapsed", "epoch",
-     "sec", "secs", "seconds", "millis", "micros", "milliseconds", "nsec", "msec", "duration",
-     "delay", "pause", "hold", "frame", "frames"}
-)  # fmt: skip
-"""A name with one of these words is no joint."""
-
-_TIME_UNITS: Final = {
-    **dict.fromkeys(["s", "sec", "secs", "second", "seconds"], 1.0),
-    **dict.fromkeys(["ms", "msec", "msecs", "millis", "millisecond", "milliseconds"], 1e-3),
-    **dict.fromkeys(["us", "µs", "μs", "usec", "micros", "microsecond", "microseconds"], 1e-6),
-    **dict.fromkeys(["ns", "nsec", "nanos", "nanosecond", "nanoseconds"], 1e-9),
-    **dict.fromkeys(["min", "minutes"], 60.0),
-}
-"""Measure of a time → seconds."""
-
-_ANGLE_UNITS: Final = {
-    **dict.fromkeys(["deg", "degs", "degree", "degrees", "°"], Measure.DEG),
-    **dict.fromkeys(["rad", "rads", "radian", "radians"], Measure.RAD),
-    **dict.fromkeys(["us", "µs", "μs", "usec", "microsecond", "microseconds"], Measure.US),
-}
-_OTHER_UNITS: Final = frozenset(
-    {"mm", "cm", "mrad", "ticks", "steps", "counts", "turns", "revs", "rpm", "pct", "percent", "%",
-     "mdeg", "ddeg", "cdeg", "dps", "ms", "ns"}
-)  # fmt: skip
-"""Ends of a name that are units, of which none is read."""
-
-_BRACKETS: Final = re.compile(r"[\s_]*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
-_END: Final = re.compile(
-    r"(.*?)(?:[\s_.,/:-]+|(?<=[a-z])(?=Deg|Rad|\u00b0)|(?=\u00b0))"
-    r"((?:deg|rad)\w{0,4}(?:[\s_/]+|_per_)s(?:ec)?\d?|[a-z\u00b0%\u00b5\u03bc]+)",
-    re.IGNORECASE,
-)
-_CLOCK_UNIT: Final = re.compile(
-    r"h{1,2}:m{1,2}:s{1,2}(?:[.,]\w{1,9})?|iso[ -]?(?:8601)?|utc|unix|epoch", re.IGNORECASE
-)
-_CLOCK: Final = re.compile(r"(?:(\d{1,4}):)?([0-5]?\d):([0-5]\d)([.,]\d{1,9})?", re.ASCII)
-_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.{0,24}", re.ASCII)
-
-
-def name_and_unit(name: str) -> tuple[str, str]:
-    """Return the name of a column without its unit, and the unit in small letters, or ""."""
-    for found in reversed([*_BRACKETS.finditer(name)]):
-        if not found[1].strip().isdigit():  # A number is an index.
-            return (name[: found.start()] + name[found.end() :]).strip(), found[1].strip().lower()
-    if end := _END.fullmatch(name):
-        base, unit = end[1], end[2].lower()
-        is_time = _plain(base) in _TIMES or not _TIME_WORDS.isdisjoint(_words(base))
-        known = _TIME_UNITS.keys() - {"min"} if is_time else _ANGLE_UNITS.keys() | _OTHER_UNITS
-        if base and (unit in known or re.match(r"(deg|rad)\w*(/|_| )", unit)):
-            return base, unit
-    return name, ""
-
-
-def _plain(name: str) -> str:
-    """Return a name in small letters, without marks of other programs before it: `__time`."""
-    return re.sub(r"[\s-]+", "_", name.strip("_ ./%#").lower())
-
-
-def _words(name: str) -> list[str]:
-    return re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
-
-
-def is_time_name(name: str) -> bool:
-    """Return whether a column is about time, and therefore no joint."""
-    base, unit = name_and_unit(name)
-    if _ANGLE_UNITS.get(unit) in {Measure.DEG, Measure.RAD}:
-        return False
-    return _plain(base) in _TIMES or not _TIME_WORDS.isdisjoint(_words(base))
-
-
-def _is_instant(name: str) -> bool:
-    """Return whether a column about time is neither a duration nor a pause."""
-    return re.search(r"duration|after|delay|pause|hold|frames", name, re.IGNORECASE) is None
-
-
-def seconds_of(name: str) -> float | None:
-    """Return the unit of a time column in seconds; None if it is none that is understood."""
-    base, unit = name_and_unit(name)
-    if base == "%time":  # As `rostopic echo -p` writes it.
-        return 1e-9
-    base = _plain(base)
-    if not unit and base in _TIME_UNITS and len(base) > 2:
-        return _TIME_UNITS[base]
-    if base not in _TIMES:
-        return None
-    return 1.0 if not unit or _CLOCK_UNIT.fullmatch(unit) else _TIME_UNITS.get(unit)
-
-
-def seconds_at(
-    lines: TextLines, word: str, number: int, second: float, *, has_commas: bool
-) -> float:
-    """Return a time in seconds: a number of units of `second`, `hh:mm:ss`, or ISO 8601."""
-    word = word.strip()
-    if second == 1.0:
-        clock = _CLOCK.fullmatch(word)
-        if clock is not None and (clock[1] or clock[4]):
-            whole_s = 3600 * int(clock[1] or 0) + 60 * int(clock[2]) + int(clock[3])
-            return round(whole_s + float("0" + (clock[4] or ".0").replace(",", ".")), DIGITS)
-        if _DATE.fullmatch(word):
-            try:
-                at = datetime.fromisoformat(word)
-            except ValueError:
-                lines.refuse(number, f"{word!r:.60} is no time of ISO 8601")
-            return round((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp(), DIGITS)
-    if ":" in word or "/" in word:
-        lines.refuse(number, f"time {word!r:.60} is not understood; write seconds, or hh:mm:ss")
-    if is_number(word, has_commas=has_commas):
-        at_s = float(word.replace(",", ".")) * second
-        if second < 1.0 and abs(at_s) < VALUE_MAX:
-            return round(at_s, DIGITS)
-        if abs(at_s) >= VALUE_MAX:
-            lines.refuse(
-                number, f"{word!r:.60} is out of range for seconds: give the unit, `time_ns`"
-            )
-    return round(lines.number(word, number, has_commas=has_commas) * second, DIGITS)
-
-
 FRAME: Final = "frame"
+_SEPARATOR: Final = re.compile(r"sep=.", re.IGNORECASE)
 _FPS: Final = re.compile(r"#\s*fps\s*[:=]\s*(\d{1,4}(?:\.\d{1,6})?)\s*", re.IGNORECASE | re.ASCII)
+
+
+class TimeColumn(Struct, frozen=True):
+    """Which column is the time, in units of `second`; `rest_at` has nanoseconds to be added."""
+
+    at: int
+    second: float
+    rest_at: int | None = None
+
+    @property
+    def columns(self) -> set[int | None]:
+        return {self.at, self.rest_at}
 
 
 class CsvRows(Struct, frozen=True):
@@ -217,12 +121,14 @@ class CsvRows(Struct, frozen=True):
                 f"no table: {error}", path=self.lines.path, line=self.first_row + reader.line_num
             ) from error
 
-    def time_column(self) -> tuple[int, float]:
-        """Return the index of the time column, and its unit in seconds."""
-        for at, name in enumerate(self.header):
-            second = seconds_of(name)
+    def time_column(self) -> TimeColumn:
+        """Return the time column; a column `date` is one if there is no other."""
+        if (pair := stamp_pair(self.header)) is not None:
+            return TimeColumn(pair[0], 1.0, pair[1])
+        found = [(at, seconds_of(name)) for at, name in enumerate(self.header)]
+        for at, second in sorted(found, key=lambda one: self.header[one[0]].lower() == "date"):
             if second is not None:
-                return at, second
+                return TimeColumn(at, second)
         frames = [at for at, name in enumerate(self.header) if name.lower() == FRAME]
         if not frames:
             like = [name for name in self.header if is_time_name(name)]
@@ -235,7 +141,18 @@ class CsvRows(Struct, frozen=True):
             self.lines.refuse(
                 self.header_line, "frames need their rate: put a line `# fps: 24` on top"
             )
-        return frames[0], 1.0 / self.fps
+        return TimeColumn(frames[0], 1.0 / self.fps)
+
+    def time_s(self, column: TimeColumn, row: Sequence[str], number: int) -> float:
+        """Return the time of a row, or raise `InputError`."""
+        has_commas = self.has_commas
+        time_s = seconds_at(
+            self.lines, row[column.at], number, column.second, has_commas=has_commas
+        )
+        if column.rest_at is None:
+            return time_s
+        rest_ns = self.lines.number(row[column.rest_at], number, has_commas=has_commas)
+        return round(time_s + rest_ns / NS_PER_S, DIGITS)
 
 
 def delimiter_of(line: str) -> str:
@@ -255,33 +172,56 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(rows, [])]
 
 
-def header_of(rows: Iterable[tuple[int, str]]) -> tuple[int, list[str], str, int] | None:
-    """Return the header, with its line, its delimiter, and the number of lines above the rows.
+class TableHeader(Struct, frozen=True):
+    """The line of the names, the names, their separator, and the number of lines above the rows."""
+
+    line: int
+    names: list[str]
+    delimiter: str
+    first_row: int
+
+
+def header_of(lines: Iterator[tuple[int, str]]) -> TableHeader | None:
+    """Return the header among numbered lines, with the units of a row below it; None: no line.
 
     A comment above a line of numbers is the header if it has as many cells.
     """
     comment: tuple[int, str] | None = None
-    for number, line in rows:
+    for number, line in lines:
         if line.startswith("#"):
             comment = number, line.lstrip("#").strip()
+            continue
+        if _SEPARATOR.fullmatch(line):
             continue
         delimiter = delimiter_of(line)
         header = cells_of(line, delimiter)
         if comment is not None and len(header) > 1 and _are_values(header, delimiter):
             names = cells_of(comment[1], delimiter)
             if len(names) == len(header) and not any(is_number(name) for name in names):
-                return comment[0], names, delimiter, number - 1
-        return number, header, delimiter, number
+                return TableHeader(comment[0], names, delimiter, number - 1)
+        return _with_row_below(TableHeader(number, header, delimiter, number), next(lines, None))
     return None
+
+
+def _with_row_below(header: TableHeader, row: tuple[int, str] | None) -> TableHeader:
+    """Return the header with the units in the row below it, which may be a comment, if it has."""
+    if row is None:
+        return header
+    number, line = row
+    text = line.lstrip("#").strip()
+    is_blank = header.delimiter == " "
+    try:
+        cells = text.split() if is_blank else cells_of(text, header.delimiter)
+    except csv.Error:  # It is named where the rows are read.
+        return header
+    names = with_units(header.names, cells)
+    return header if names is None else replace(header, names=names, first_row=number)
 
 
 def _are_values(cells: list[str], delimiter: str) -> bool:
     """Return whether all cells are numbers or times."""
     return all(
-        not cell
-        or is_number(cell, has_commas=delimiter != ",")
-        or _CLOCK.fullmatch(cell)
-        or _DATE.fullmatch(cell)
+        not cell or is_number(cell, has_commas=delimiter != ",") or is_time_text(cell)
         for cell in cells
     )
 
@@ -305,11 +245,11 @@ def csv_rows(lines: TextLines) -> CsvRows:
         raise InputError(f"no table: {error}", path=lines.path) from error
     if found is None:
         lines.refuse(None, "has no header line")
-    number, header, delimiter, first_row = found
+    header = found.names
     twice = [name for name in header if header.count(name) > 1]
     if twice and not all(is_number(name, has_commas=True) for name in header):
-        lines.refuse(number, f"column {twice[0]!r:.60} occurs twice")
-    return CsvRows(lines, number, header, delimiter, fps, first_row)
+        lines.refuse(found.line, f"column {twice[0]!r:.60} occurs twice")
+    return CsvRows(lines, found.line, header, found.delimiter, fps, found.first_row)
 
 
 _LONG_NAMES: Final = ("servo", "joint")
@@ -319,24 +259,36 @@ _LONG_VALUES: Final = ("position", "angle", "value", "pos")
 def _is_value(name: str) -> bool:
     """Return whether a column of a long table has the values: `deg`, `position (rad)`."""
     base, unit = name_and_unit(name)
-    return name in {"deg", "rad", "us"} or (base in _LONG_VALUES and unit in _ANGLE_UNITS)
+    return name in {"deg", "rad", "us"} or (base in _LONG_VALUES and unit in ANGLE_UNITS)
 
 
-def _is_csv(data: bytes) -> bool:
+def head_of(data: bytes) -> tuple[TableHeader, list[str]] | None:
+    """Return the header of what may be a table, and the first rows below it; None: it is none."""
     head = text_head(data, 65_536).decode("utf-8", "replace")
     rows = [(at, row.strip()) for at, row in enumerate(head.splitlines(), 1) if row.strip()]
     try:
-        found = header_of(rows)
+        found = header_of(iter(rows))
     except csv.Error:
+        return None
+    if found is None:
+        return None
+    return found, [row for at, row in rows if at > found.first_row and not row.startswith("#")]
+
+
+def _is_csv(data: bytes) -> bool:
+    found = head_of(data)
+    if found is None or len(found[0].names) < 2:
         return False
-    if found is None or len(found[1]) < 2:
+    (header, rows) = found
+    names = header.names
+    if stamp_pair(names) is None and not any(
+        seconds_of(name) or (is_time_name(name) and is_instant(name)) for name in names
+    ):
         return False
-    _, header, delimiter, first_row = found
-    if not any(seconds_of(name) or (is_time_name(name) and _is_instant(name)) for name in header):
-        return False
-    first = next((row for at, row in rows if at > first_row and not row.startswith("#")), "")
-    cells = cells_of(first, delimiter)
-    return delimiter != " " or (len(cells) == len(header) and _are_values(cells, delimiter))
+    if header.delimiter != " ":
+        return True
+    cells = cells_of(rows[0], " ") if rows else []
+    return len(cells) == len(names) and _are_values(cells, " ")
 
 
 def _csv_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
@@ -351,13 +303,10 @@ CSV: Final = Reader("csv", _is_csv, _csv_motions)
 
 
 def _wide(table: CsvRows) -> ForeignMotion:
-    time_at, second = table.time_column()
-    others = [name for at, name in enumerate(table.header) if at != time_at and is_time_name(name)]
-    names = [
-        (at, name)
-        for at, name in enumerate(table.header)
-        if at != time_at and name and name not in others
-    ]
+    time = table.time_column()
+    own = [(at, name) for at, name in enumerate(table.header) if at not in time.columns and name]
+    others = [name for _, name in own if is_time_name(name) or is_other_measure(name)]
+    names = [(at, name) for at, name in own if name not in others]
     if not names:
         table.lines.refuse(table.header_line, "no column is a joint")
     columns = [
@@ -367,9 +316,10 @@ def _wide(table: CsvRows) -> ForeignMotion:
     if len(set(joints)) < len(joints):
         twice = next(joint for joint in joints if joints.count(joint) > 1)
         table.lines.refuse(table.header_line, f"joint {twice!r:.60} has two columns")
-    times_s, values, numbers = _cells(table, time_at, second, [at for at, _, _ in columns])
+    is_clock = any(is_time_text(row[time.at].strip()) for _, row in islice(table.rows(), 1))
+    times_s, values, numbers = _cells(table, time, [at for at, _, _ in columns])
     channels: list[Channel] = []
-    empty = [f"column {name}, which is about time" for name in others]
+    empty = [f"column {name}, which is no angle" for name in others]
     for column, (_, joint, unit) in enumerate(columns):
         given = np.isfinite(values[:, column])
         if given.any():
@@ -386,39 +336,29 @@ def _wide(table: CsvRows) -> ForeignMotion:
             empty.append(f"column {joint}, which is empty")
     if not channels:
         table.lines.refuse(None, "has no row with a value")
-    bare = [joint for (_, joint, _), (_, name) in zip(columns, names, strict=True) if joint == name]
-    units = (f"Columns without a unit are degrees: {', '.join(bare)}.",) if bare else ()
     path = table.lines.path
     return ForeignMotion(
         path=path,
         name=motion_name(path),
         channels=tuple(channels),
         notes={},
-        comments=(f"Imported from {path.name} (CSV).", *units, *summarised(empty)),
+        comments=(
+            f"Imported from {path.name} (CSV).",
+            *assumed_units([name for _, name in names], "" if is_clock else table.header[time.at]),
+            *summarised(empty),
+        ),
         is_recording=is_dense(times_s),
     )
 
 
-def unit_of_column(path: Path, line: int | None, name: str) -> tuple[str, Measure]:
-    """Return joint and unit of a column; a name without a unit is in degrees.
-
-    Raises `InputError` for a unit that is not known.
-    """
-    base, unit = name_and_unit(name)
-    if unit and unit not in _ANGLE_UNITS:
-        reason = f"column {name!r:.60}: unit {unit!r:.40} is not read; deg, rad or us are"
-        raise InputError(f"{reason}. Convert it, or remove the column", path=path, line=line)
-    return (base, _ANGLE_UNITS[unit]) if unit else (name, Measure.DEG)
-
-
 def _cells(
-    table: CsvRows, time_at: int, second: float, value_columns: Sequence[int]
+    table: CsvRows, time: TimeColumn, value_columns: Sequence[int]
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return increasing times, values (rows, joints) with NaN for empty cells, and line numbers."""
     lines, has_commas = table.lines, table.has_commas
     flat, times, numbers = array("d"), array("d"), array("i")
     for number, row in table.rows():
-        time_s = seconds_at(lines, row[time_at], number, second, has_commas=has_commas)
+        time_s = table.time_s(time, row, number)
         if times and time_s <= times[-1]:
             lines.refuse(number, f"times must increase, but {time_s:g} s follows {times[-1]:g} s")
         times.append(time_s)
@@ -437,17 +377,17 @@ def _cells(
 
 def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     lines = table.lines
-    time_at, second = table.time_column()
+    time = table.time_column()
     name_at = next(header.index(name) for name in _LONG_NAMES if name in header)
     value_at = next(at for at, name in enumerate(header) if _is_value(name))
-    unit = _ANGLE_UNITS[name_and_unit(header[value_at])[1] or header[value_at]]
+    unit = ANGLE_UNITS[name_and_unit(header[value_at])[1] or header[value_at]]
     ease_at = header.index("ease") if "ease" in header else None
     samples: dict[str, dict[float, tuple[float, int]]] = {}
     eases: dict[float, Interpolation] = {}
     for count, (number, row) in enumerate(table.rows()):
         if count >= VALUES_MAX:
             lines.refuse(number, f"more than {VALUES_MAX:,} values")
-        time_s = seconds_at(lines, row[time_at], number, second, has_commas=table.has_commas)
+        time_s = table.time_s(time, row, number)
         value = lines.number(row[value_at], number, has_commas=table.has_commas)
         joint = row[name_at].strip()
         if not joint:
@@ -462,9 +402,8 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
                 lines.refuse(number, f"two eases at {time_s:g} s: {eases[time_s]} and {ease}")
     if not samples:
         lines.refuse(None, "has no row with a value")
-    extra = [
-        n for i, n in enumerate(table.header) if i not in {time_at, name_at, value_at, ease_at}
-    ]
+    used = {*time.columns, name_at, value_at, ease_at}
+    extra = [name for at, name in enumerate(table.header) if at not in used]
     channels = tuple(_channel(joint, unit, own) for joint, own in samples.items())
     dense = [is_dense(channel.times_s) for channel in channels]
     return ForeignMotion(

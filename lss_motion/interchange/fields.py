@@ -33,6 +33,19 @@ COLONS_MAX: Final = VALUES_MAX
 64 MB of empty lists, or of keys, would need gigabytes of memory after parsing."""
 
 
+def utf8_of(path: Path, data: bytes) -> bytes:
+    """Return a text in UTF-8 that is in UTF-16, as Praat and spreadsheets write it; others as is.
+
+    Raises `InputError` if it begins as UTF-16 and is not.
+    """
+    if not data.startswith((b"\xfe\xff", b"\xff\xfe")):
+        return data
+    try:
+        return data.decode("utf-16").encode()
+    except UnicodeError as error:
+        raise InputError(f"is not UTF-16: {error}", path=path) from error
+
+
 def text_head(data: bytes, size_bytes: int) -> bytes:
     """Return the first bytes of a file, without a byte order mark."""
     return data[:size_bytes].removeprefix(b"\xef\xbb\xbf")

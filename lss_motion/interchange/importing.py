@@ -24,11 +24,14 @@ from lss_motion.interchange.bvh import BVH
 from lss_motion.interchange.command_text import COMMANDS, CONSTANT_SPEED, command_reader
 from lss_motion.interchange.csv import CSV
 from lss_motion.interchange.d6a import D6A
+from lss_motion.interchange.fields import utf8_of
 from lss_motion.interchange.json_motions import BITBOTS, BLENDER, BOTTANGO, HULKS, PYPOT
 from lss_motion.interchange.label_files import AUDACITY, PAPAGAYO, PRAAT, RHUBARB, XLIGHTS
 from lss_motion.interchange.labels import LabelStyle, label_sequence
 from lss_motion.interchange.lerobot import LEROBOT
 from lss_motion.interchange.mapping import UNWRAP_OFFER, MotionMap, mapped
+from lss_motion.interchange.mcap_files import MCAP
+from lss_motion.interchange.numpy_files import NUMPY
 from lss_motion.interchange.opencat import OPENCAT
 from lss_motion.interchange.poses import POSES
 from lss_motion.interchange.reader import DIGITS, ForeignMotion, LabelTrack, PoseNote, RefusedMotion
@@ -54,6 +57,10 @@ if TYPE_CHECKING:
 
 
 READERS: Final[tuple[Reader, ...]] = (
+    D6A,
+    LEROBOT,
+    NUMPY,
+    MCAP,
     RHUBARB,
     PAPAGAYO,
     PRAAT,
@@ -73,8 +80,6 @@ READERS: Final[tuple[Reader, ...]] = (
     ROS,
     CSV,
     COMMANDS,
-    D6A,
-    LEROBOT,
     OPENCAT,
     POSES,
     ROBOTIS_PAGES,
@@ -118,12 +123,6 @@ def read_motion(
 
 OTHERS: Final = (
     (
-        b"\x93NUMPY",
-        "a NumPy array",
-        "write it with numpy.savetxt(file, array, delimiter=',', header='time_s,<joint>_rad,…')",
-    ),
-    (b".npy", "NumPy arrays", "write them as one CSV table with numpy.savetxt"),
-    (
         b"<ChoregrapheProject",
         "a Choregraphe behaviour",
         "export its timeline to Python, and write its names, times and keys as a CSV table",
@@ -144,7 +143,7 @@ def read_motions(
     if format_name is not None and format_name not in FORMAT_NAMES:
         known = known_names(format_name, FORMAT_NAMES)
         raise InputError(f"unknown motion format {format_name!r}; {known}")
-    data = read_data(path, RECORDING_MAX_BYTES)
+    data = utf8_of(path, read_data(path, RECORDING_MAX_BYTES))
     if not data.strip():
         raise InputError("is empty; write or copy it again", path=path)
     for reader in READERS:

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from lss_motion.errors import InputError
 from lss_motion.interchange.fields import (
     JsonFields,
     TextLines,
@@ -334,27 +333,17 @@ _TOKEN: Final = re.compile(
 
 
 def _is_praat(data: bytes) -> bool:
-    head = data[:256].replace(b"\0", b"")
+    head = data[:256]
     return HEAD in head and b"TextGrid" in head
 
 
 def _praat_motions(path: Path, data: bytes) -> tuple[LabelTrack | RefusedMotion, ...]:
-    lines = TextLines.of(path, _utf8(path, data))
+    lines = TextLines.of(path, data)
     return tuple(_Tokens(lines).tiers())
 
 
 PRAAT: Final = Reader("praat", _is_praat, _praat_motions)
 """Reads each tier as a track. The empty texts of intervals are pauses."""
-
-
-def _utf8(path: Path, data: bytes) -> bytes:
-    """Return the text in UTF-8; Praat writes UTF-16 where a text is not ASCII."""
-    if not data.startswith((b"\xfe\xff", b"\xff\xfe")):
-        return data
-    try:
-        return data.decode("utf-16").encode()
-    except UnicodeError as error:
-        raise InputError(f"is not UTF-16: {error}", path=path) from error
 
 
 class _Tokens:

@@ -7,7 +7,8 @@ duration (`duration_s`) and a pause (`hold_s`). CSV: one row per pose, without a
 joints in the header, else numbered from 1; columns `duration_s`, `hold_s` and `name` as in JSON.
 
 All times may end in `_ms`. Durations are the way to a pose, after the pause of the pose before.
-Angles are degrees if nothing else is given. Poses without times get `STEP_S` each.
+Angles are degrees if nothing else is given. Poses without times get `STEP_S` each, unless a
+column looks like a time.
 """
 
 from __future__ import annotations
@@ -17,18 +18,13 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted
-from lss_motion.interchange.csv import (
-    cells_of,
-    csv_rows,
-    header_of,
-    is_time_name,
-    name_and_unit,
-    unit_of_column,
-)
+from lss_motion.interchange.columns import is_time_name, name_and_unit, unit_of_column
+from lss_motion.interchange.csv import cells_of, csv_rows, head_of
 from lss_motion.interchange.fields import (
     JsonFields,
     TextLines,
@@ -38,6 +34,7 @@ from lss_motion.interchange.fields import (
     text_head,
 )
 from lss_motion.interchange.reader import (
+    DENSE_MIN,
     FPS_MAX,
     VALUES_MAX,
     Measure,
@@ -56,6 +53,9 @@ if TYPE_CHECKING:
 
 STEP_S: Final = 1.0
 """Assumed time of a pose without a time; the comments name it."""
+
+CLOCK_JITTER: Final = 0.5
+"""Chosen: steps of a clock differ by less than half of their mean."""
 
 ANGLE_MAX: Final = 1e6
 """Chosen: more than any angle or pulse, less than the seconds since 1970."""
@@ -89,18 +89,14 @@ def _is_poses(data: bytes) -> bool:
         return _JSON_ROW.match(head.lstrip()) is not None
     if starts_json(data, b"{"):
         return b'"poses"' in data or b'"frames"' in data
-    rows = [
-        (at, row.strip())
-        for at, row in enumerate(head.decode("utf-8", "replace").splitlines(), 1)
-        if row.strip()
-    ]
+    found = head_of(data)
+    if found is None:
+        return False
+    header, rows = found
     try:
-        found = header_of(rows)
-        if found is None:
-            return False
-        _, header, mark, first_row = found
-        under = [row for at, row in rows if at > first_row and not row.startswith("#")]
-        return len(under) > 0 and all(_is_pose(header, mark, row) for row in under[:2])
+        return len(rows) > 0 and all(
+            _is_pose(header.names, header.delimiter, row) for row in rows[:2]
+        )
     except csv.Error:
         return False
 
@@ -181,11 +177,27 @@ class _Poses:
         )
 
     def motion(self, name: str, left_out: list[str]) -> ForeignMotion:
+        if self.kind == "none":
+            self._check_is_no_clock()
         guess = [f"The poses have no times: {STEP_S:g} s each."] if self.kind == "none" else []
         about = [f"Imported from {self.path.name} (list of poses).", *guess, *summarised(left_out)]
         return motion_of_poses(
             self.path, name, self.poses, unit_of=self.units.__getitem__, comments=about
         )
+
+    def _check_is_no_clock(self) -> None:
+        """Raise `InputError` if the first value of the poses increases as a time does."""
+        joint = next(iter(self.poses[0].values)) if self.poses else ""
+        values = [pose.values[joint] for pose in self.poses if joint in pose.values]
+        if len(values) < max(DENSE_MIN, len(self.poses)):
+            return
+        steps = np.diff(values)
+        if steps.min() > 0.0 and np.ptp(steps) <= CLOCK_JITTER * steps.mean():
+            reason = (
+                f"{joint!r:.60} increases evenly, as a time does; name it time_s or time_ms in a "
+                "header line, or give the poses a duration_s"
+            )
+            self._refuse(reason, self.poses[0].line)
 
     def _refuse(self, reason: str, line: int | None) -> None:
         raise InputError(reason, path=self.path, line=line)

@@ -5,8 +5,8 @@ joint with the name of a sliding joint therefore needs a map.
 
 `yaml_trees` reads the YAML as nested texts, lists and mappings with line numbers. It constructs no
 objects, and it bounds size and depth. Unlike `files.yaml_source`, it keeps every scalar as text.
-`ros2 topic echo` separates messages by documents: joint states are a recording, of other messages
-the first is read.
+`ros2 topic echo` separates messages by documents. Joint states are a recording, and so are
+trajectories of one point each with increasing stamps; other trajectories are a motion each.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import math
 import re
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from msgspec import Struct
@@ -27,6 +27,7 @@ from lss_motion.files.texts import counted
 from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
 from lss_motion.interchange.fields import NUMBER_MAX, VALUE_MAX
 from lss_motion.interchange.reader import (
+    ForeignMotion,
     Pose,
     Reader,
     is_dense,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
+    from lss_motion.interchange.reader import RefusedMotion
 
 
 NODES_MAX: Final = 4_000_000
@@ -148,6 +149,9 @@ class _NodeBuilder:
 _WRAPPINGS: Final = ("goal", "trajectory", "joint_trajectory", "play_motion", "ros__parameters")
 """Keys around a trajectory or a collection of motions. The name of a node may be one as well."""
 
+SHORTENED: Final = "..."
+"""What `ros2 topic echo` writes in place of what is beyond the first 128 of a list."""
+
 GOAL_S: Final = 4.0
 """Time to reach a published goal without `time_from_start`; less if the next goal comes earlier.
 Assumed: the publisher of ros2_controllers_test_nodes uses this time."""
@@ -178,7 +182,7 @@ def _ros_motions(path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion
         return (file.states(path.stem, chain([first], trees)),)
     top = file.unwrapped(first)
     if "joint_names" in top:
-        return (file.motion(path.stem, top, top["joint_names"]),)
+        return file.trajectories(path.stem, [first, *trees])
     if "goal_names" in top:
         return (file.goals(path.stem, top),)
     listed = file.mapping(top["motions"], "motions")
@@ -249,6 +253,54 @@ class _RosFile:
         )
         is_recording = any(is_dense(channel.times_s) for channel in motion.channels)
         return replace(motion, is_recording=is_recording)
+
+    def trajectories(
+        self, name: str, messages: list[RosNode]
+    ) -> tuple[ForeignMotion | RefusedMotion, ...]:
+        """Return the motion of each message, or of all if they are single points with stamps."""
+        if len(messages) == 1:
+            return (self._trajectory(name, messages[0]),)
+        found = [
+            read_or_refused(f"message {number}", partial(self._trajectory, f"message {number}", it))
+            for number, it in enumerate(messages, start=1)
+        ]
+        starts_s = [self._stamp_s(node) for node in messages]
+        is_streamed = all(
+            isinstance(motion, ForeignMotion)
+            and all(len(channel.times_s) == 1 for channel in motion.channels)
+            for motion in found
+        )
+        if not is_streamed or any(b <= a for a, b in pairwise(starts_s)):
+            return tuple(found)
+        poses = [
+            Pose(
+                at_s=start_s + float(motion.channels[0].times_s[0]),
+                values={channel.name: float(channel.values[0]) for channel in motion.channels},
+                place=motion.name,
+                line=node.line,
+            )
+            for start_s, motion, node in zip(starts_s, found, messages, strict=True)
+            if isinstance(motion, ForeignMotion)
+        ]
+        comments = [f"Imported from {self.path.name} (ROS, trajectories of one point each)."]
+        motion = motion_of_poses(
+            self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments
+        )
+        return (motion,)
+
+    def _trajectory(self, name: str, node: RosNode) -> ForeignMotion:
+        top = self.unwrapped(node)
+        if "joint_names" not in top:
+            self.refuse(node, "must have 'joint_names' and 'points'")
+        return self.motion(name, top, top["joint_names"])
+
+    def _stamp_s(self, node: RosNode) -> float:
+        """Return the stamp of a message in seconds; 0 where it has none."""
+        top = node.value if isinstance(node.value, dict) else {}
+        header = top["header"].value if "header" in top else None
+        if not isinstance(header, dict) or "stamp" not in header:
+            return 0.0
+        return self._time(header["stamp"])
 
     def goals(self, name: str, top: dict[str, RosNode]) -> ForeignMotion:
         """Return the goals that a publisher sends, one every `wait_sec_between_publish`."""
@@ -401,6 +453,8 @@ class _RosFile:
 
     def refuse(self, node: RosNode, reason: str) -> NoReturn:
         """Raise `InputError` with `reason` and the line."""
+        if node.value == SHORTENED:
+            reason = "left out by `ros2 topic echo`; write it with --full-length"
         raise InputError(reason, path=self.path, line=node.line)
 
 

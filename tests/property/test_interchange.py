@@ -28,6 +28,8 @@ from lss_motion.interchange.reader import (
 from lss_motion.interchange.recorded import interpolated
 from lss_motion.interchange.reduce import ROUNDING_DEG, reduced
 from lss_motion.show.model import Interpolation
+from tests.unit.interchange.test_mcap_files import cdr, mcap_file
+from tests.unit.interchange.test_numpy_files import npz
 
 PAGE = bytearray(512)
 PAGE[:3], PAGE[15], PAGE[16], PAGE[20], PAGE[22] = b"bow", 1, 10, 1, 32
@@ -93,6 +95,7 @@ SEEDS = {
     "opencat": b"const int8_t wk[] PROGMEM = {\n2, 0, 0, 1,\n 1, 2, 3, 4, 5, 6, 7, 8,\n 9, 8, 7, 6,"
     b"5, 4, 3, 2,};\nconst int8_t hi[] PROGMEM = {-2, 0, -30, 2,\n 0, 1, 2,\n 1, 2, 8, 1, 0, 0,\n "
     b"9, 5, 10, 0, 1, 20,};\n",
+    "numpy": npz(time_s=np.arange(3.0), a_rad=np.arange(3.0)),
     "poses": b'[{"name":"up","deg":{"a":10,"b":-5.5},"duration_s":0.5,"hold_ms":100},'
     b'{"b":0.5,"a":20,"duration_s":1}]',
 }
@@ -141,6 +144,8 @@ SEEDS |= {
 
 if find_spec("pyarrow"):
     SEEDS["lerobot"] = parquet_file()
+if find_spec("mcap"):
+    SEEDS["mcap"] = mcap_file([(n * 10**8, cdr({"a": n / 10}, n * 10**8)) for n in range(3)])
 
 TOKENS = {
     b"{", b"}", b"[", b"]", b",", b";", b":", b"\n", b"\r", b"\0", b"#", b"*", b'"', b"=", b"|",
@@ -192,7 +197,8 @@ def by_name() -> list[object]:
 
 def test_every_reader_is_fuzzed() -> None:
     missing = {reader.name for reader in READERS} - SEEDS.keys()
-    assert missing == (set() if find_spec("pyarrow") else {"lerobot"})
+    extras = {"lerobot": "pyarrow", "mcap": "mcap"}
+    assert missing == {name for name, library in extras.items() if not find_spec(library)}
 
 
 @pytest.mark.parametrize("reader", by_name())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from lss_motion.errors import InputError
 from lss_motion.interchange.csv import CSV
 from lss_motion.interchange.importing import read_motions
 from lss_motion.interchange.mapping import mapped
@@ -126,6 +127,17 @@ def test_leading_blanks_change_nothing(read_one) -> None:
         ("datetime,a", "2024-05-01T10:00:00Z,1", "2024-05-01T10:00:00.050Z,2"),
         ("datetime,a", "2024-05-01 10:00:00,1", "2024-05-01 10:00:00.050,2"),
         ("Frame,Time (s),a", "0,0,1", "1,0.05,2"),
+        ("date,a", "2024-05-01 10:00:00,1", "2024-05-01 10:00:00.050,2"),
+        ("date,time,a", "2024-05-01,10:00:00,1", "2024-05-01,10:00:00.050,2"),
+        ("Zeit [s];a", "0;1", "0,05;2"),
+        ("time in ms,a", "0,1", "50,2"),
+        ("sep=;\nt;a", "0;1", "0,05;2"),
+        ("time,a\ns,deg", "0,1", "0.05,2"),
+        ("Time\ta\n(ms)\t(deg)", "0\t1", "50\t2"),
+        ("time,a\n# ms,deg", "0,1", "50,2"),
+        ("time a\n[ms] [-]", "0 1", "50 2"),
+        ("header.stamp.sec,header.stamp.nanosec,a", "4,980000000,1", "5,30000000,2"),
+        ("secs,nsecs,a", "4,980000000,1", "5,30000000,2"),
     ],
 )
 def test_the_time_is_known_by_the_names_that_programs_give_it(
@@ -158,8 +170,10 @@ def test_a_name_that_only_looks_like_a_unit_is_a_joint(read_one, name: str) -> N
     [
         ("time,a (mm)\n0,1\n", "unit 'mm' is not read"),
         ("time,a_mrad\n0,1\n", "unit 'mrad' is not read"),
-        ("time,a (rad/s)\n0,1\n", "unit 'rad/s' is not read"),
-        ("time,a_deg_s\n0,1\n", "unit 'deg_s' is not read"),
+        ("time,a\ns,furlong\n0,1\n", "unit 'furlong' is not read"),
+        ("time,a\nfortnights,deg\n0,1\n", "no column is the time"),
+        ("time,a (rad/s)\n0,1\n", "no column is a joint"),
+        ("time,a\nleft,right\n0,1\n", "'left' is not"),
         ("time (fortnights),a\n0,1\n", "no column is the time"),
         ("header.stamp.sec,a\n0,1\n", "no column is the time"),
         ("time,a\n10:20,1\n", "is not understood; write seconds"),
@@ -199,3 +213,48 @@ def test_the_time_of_a_plain_echo_of_ros_1_is_in_nanoseconds(read_one) -> None:
     text = "%time,a_rad\n1700000000000000000,1\n1700000000500000000,2\n"
     (a,) = read_one(CSV, text).channels
     assert a.times_s[1] - a.times_s[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "column",
+    ["a_vel", "a.velocity", "/states/a/velocity", "a_deg_s", "a (rad/s)", "a (deg/s^2)", "a_torque",
+     "effort[0]", "field.velocity0", "a (dps)", "nsecs_per_s (rpm)"],
+)  # fmt: skip
+def test_speeds_and_forces_are_no_joints(read_one, column: str) -> None:
+    motion = read_one(CSV, f"time_s,b_deg,{column}\n0,1,2\n1,2,3\n")
+    assert [channel.name for channel in motion.channels] == ["b"]
+    assert f"Not carried over: column {column}, which is no angle" in motion.comments
+
+
+@pytest.mark.parametrize(
+    "column", ["/joint_states/position[0]", "/joint_states/elbow/position", "field.position0"]
+)
+def test_positions_of_ros_topics_are_radians_and_that_is_said(read_one, column: str) -> None:
+    motion = read_one(CSV, f"__time,{column}\n0,1\n1,2\n")
+    assert motion.channels[0].unit is Measure.RAD
+    assert f"Columns of ROS topics are radians (REP 103): {column}." in motion.comments
+
+
+def test_a_row_of_units_is_no_row_of_values(read_one) -> None:
+    motion = read_one(CSV, "time,joint,position\n[ms],,[rad]\n0,a,0.5\n500,a,1\n")
+    (a,) = motion.channels
+    assert (a.unit, a.times_s.tolist(), a.values.tolist()) == (Measure.RAD, [0.0, 0.5], [0.5, 1.0])
+    a, b, c = read_one(CSV, "t_ms,a,b_rad,c\n-,rad,rad,\n0,1,2,3\n500,4,5,6\n").channels
+    assert [one.unit for one in (a, b, c)] == [Measure.RAD, Measure.RAD, Measure.DEG]
+    assert c.lines.tolist() == [3, 4]
+
+
+def test_what_is_assumed_about_units_is_said(read_one) -> None:
+    about = read_one(CSV, "time,a\n0,1\n1,2\n").comments
+    assert "The times of column time have no unit and are read as seconds." in about
+    assert not any("no unit" in text for text in read_one(CSV, "time,a\n0:00:01,1\n").comments)
+
+
+def test_a_table_in_utf_16_is_read(tmp_path) -> None:
+    (tmp_path / "t.txt").write_bytes("time_s\ta\n0\t1\n1\t2,5\n".encode("utf-16"))
+    (motion,) = read_motions(tmp_path / "t.txt")
+    assert isinstance(motion, ForeignMotion)
+    assert motion.channels[0].values.tolist() == [1.0, 2.5]
+    (tmp_path / "t.txt").write_bytes(b"\xff\xfea")
+    with pytest.raises(InputError, match="is not UTF-16"):
+        read_motions(tmp_path / "t.txt")

@@ -282,8 +282,6 @@ def test_an_encoder_that_wraps_is_named_where_its_turn_is_refused(tmp_path, figu
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"\x93NUMPY\x01\x00v\x00" + bytes(120), "is a NumPy array, which is not read"),
-        (b"PK\x03\x04" + bytes(26) + b"a.npy\x01\x00\x14\x00" + bytes(16), "NumPy arrays"),
         (b'<?xml version="1.0"?><ChoregrapheProject/>', "is a Choregraphe behaviour"),
     ],
 )

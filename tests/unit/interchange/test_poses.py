@@ -119,3 +119,20 @@ def test_a_header_in_a_comment_and_units_in_brackets_are_read(read_one) -> None:
 )
 def test_a_time_or_a_unit_that_is_not_understood_is_no_angle(refusal, text, reason) -> None:
     assert reason in refusal(POSES, text).reason
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["".join(f"{n * 20},{n % 3},7\n" for n in range(20)),
+     "when,a\n" + "".join(f"{n / 50 + n % 2 / 500},{n}\n" for n in range(20)),
+     json.dumps([[n / 50, n % 5] for n in range(20)])],
+)  # fmt: skip
+def test_what_increases_as_a_clock_is_no_joint_of_poses_without_times(refusal, text: str) -> None:
+    assert POSES.recognises(text.encode())
+    assert "increases evenly, as a time does" in refusal(POSES, text).reason
+
+
+def test_a_joint_may_increase_evenly_where_the_poses_have_durations(read_one) -> None:
+    rows = "".join(f"{n * 20},1.5\n" for n in range(20))
+    motion = read_one(POSES, f"a,duration_s\n{rows}")
+    assert motion.channels[0].times_s[-1] == pytest.approx(30.0)

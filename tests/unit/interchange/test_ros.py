@@ -8,6 +8,7 @@ import pytest
 
 from lss_motion.interchange.reader import ForeignMotion, Measure, RefusedMotion
 from lss_motion.interchange.ros import NODES_MAX, ROS
+from tests.unit.interchange.conftest import PATH
 
 MESSAGE = """\
 joint_names: [a, b]
@@ -53,8 +54,40 @@ def test_a_message_may_be_inside_the_keys_of_an_action(read_one, key: str) -> No
     assert [c.values.tolist() for c in wrapped.channels] == [[0.0, 0.5], [1.0, -1.0]]
 
 
-def test_only_the_first_message_of_an_echo_is_read(read_one) -> None:
-    assert len(read_one(ROS, MESSAGE + "---\n" + MESSAGE).channels[0].times_s) == 2
+POINT = """\
+header: {{stamp: {{sec: {sec}, nanosec: 500000000}}, frame_id: ''}}
+joint_names: [a, b]
+points:
+- positions: [{a}, 0.5]
+  velocities: []
+  time_from_start: {{sec: 1, nanosec: 0}}
+---
+"""
+
+
+def test_each_message_of_an_echo_is_a_motion() -> None:
+    echo = MESSAGE + "---\n" + MESSAGE + "---\nx: 1\n"
+    first, second, third = ROS.motions(PATH, echo.encode())
+    assert isinstance(first, ForeignMotion)
+    assert isinstance(second, ForeignMotion)
+    assert isinstance(third, RefusedMotion)
+    assert [first.name, second.name] == ["message 1", "message 2"]
+    assert len(second.channels[0].times_s) == 2
+    assert third.error.line == MESSAGE.count("\n") * 2 + 3
+
+
+def test_single_points_with_increasing_stamps_are_one_motion(read_one) -> None:
+    a, b = read_one(ROS, "".join(POINT.format(sec=5 + n, a=n / 10) for n in range(3))).channels
+    assert a.times_s.tolist() == [6.5, 7.5, 8.5]
+    assert (a.values.tolist(), b.values.tolist()) == ([0.0, 0.1, 0.2], [0.5, 0.5, 0.5])
+    standing = "".join(POINT.format(sec=5, a=n / 10) for n in range(3))
+    assert len(ROS.motions(PATH, standing.encode())) == 3
+
+
+def test_what_an_echo_leaves_out_is_named(refusal) -> None:
+    error = refusal(ROS, MESSAGE + "- '...'\n---\n")
+    assert "write it with --full-length" in error.reason
+    assert error.line == MESSAGE.count("\n") + 1
 
 
 def test_a_collection_gives_its_motions_and_the_errors_of_wrong_ones(tmp_path) -> None:
