@@ -66,7 +66,7 @@ def kept_keys(
 ) -> KeptKeys | tuple[float, float] | None:
     """Return the motion with each span so slow that the key at its end is not early.
 
-    It is `late_s` late at its start. A span under a hold takes at least its authored time. `calm`
+    It is `late_s` late at its start. A span under a hold takes at least its time. `calm`
     has the rates up to 1. If a span cannot be slow enough, the two keys around it are returned:
     they are passed too fast. None: `calm` is needed.
     """
@@ -80,7 +80,7 @@ def kept_keys(
         made.append(_part(fastest, low, first))
         part, low = _part(fastest, first, end), end
         due_s = dues.spent(from_s, to_s)
-        floor_s = now_s if dues.is_held(from_s, to_s) else 0.0
+        floor_s = max(0.0, now_s + dues.least_s(from_s, to_s) - due_s)
         reached_s = now_s + float(spent_s[end] - spent_s[first]) - due_s
         is_early = reached_s < floor_s - EARLY_S
         if is_early:

@@ -42,6 +42,10 @@ REST_SHARE_MAX: Final = 0.98
 """A move gives at most this share of its length to the rests around it. `spacing_of` makes it long
 enough; keys that only rounding keeps apart have no more to give."""
 
+DELAY_SHARE_MAX: Final = 0.4
+"""A key moves along the path by at most this share of the way to the next, which may move as far
+towards it."""
+
 _FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
 """Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""
 
@@ -88,13 +92,24 @@ def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
             is_held.append(key.is_held)
             kept.append(key)
     angles_deg = np.array([key.deg for key in kept], dtype=np.float64)
+    by_s = _delays_s(kept, np.array(reached_s), np.array(left_s))
     return JointKeys(
-        np.array(reached_s),
-        np.array(left_s),
+        np.array(reached_s) + by_s,
+        np.array(left_s) + by_s,
         np.asarray(np.round(angles_deg, ANGLE_DECIMALS), dtype=np.float64),
         np.array(is_held),
         tuple(key.ease for key in kept),
     )
+
+
+def _delays_s(own: Sequence[Key], reached_s: FloatArray, left_s: FloatArray) -> FloatArray:
+    """Return the delay of each key, at most a share of the way to its neighbours."""
+    delays_s = np.array([key.delay_s for key in own])
+    if not delays_s.any():
+        return delays_s
+    room_s = DELAY_SHARE_MAX * (reached_s[1:] - left_s[:-1])
+    least_s, most_s = np.append(0.0, -room_s), np.append(room_s, 0.0)
+    return np.asarray(np.round(np.clip(delays_s, least_s, most_s), PATH_DECIMALS))
 
 
 def with_longer_rests(
@@ -414,6 +429,23 @@ def concatenate(paths: Sequence[Path]) -> Path:
         knots_s=np.concatenate([*knots_s, starts_s[-1:]]),
         coefficients=np.concatenate([path.coefficients for path in paths]),
     )
+
+
+def out_of_range(
+    path: Path, column: int, range_deg: tuple[float, float]
+) -> list[tuple[float, float]]:
+    """Return the knots behind which a joint is out of a range before the next, and how far."""
+    angle, slope, bend, jerk = path.coefficients[:, :, column].T
+    # Where it turns: at the roots of its derivative, or else at the ends of the cubics.
+    root = np.sqrt(np.maximum(bend**2 - 3.0 * slope * jerk, 0.0))
+    turns = np.stack([np.zeros_like(root), -bend - root, -bend + root])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turns[1:] = np.where(jerk == 0.0, -0.5 * slope / bend, turns[1:] / (3.0 * jerk))
+    turns = np.clip(np.nan_to_num(turns, posinf=0.0, neginf=0.0), 0.0, path.segment_lengths_s)
+    deg = angle + turns * (slope + turns * (bend + turns * jerk))
+    out_deg = np.maximum(range_deg[0] - deg, deg - range_deg[1]).max(axis=0)
+    is_out = out_deg > 0.0
+    return list(zip(path.knots_s[:-1][is_out].tolist(), out_deg[is_out].tolist(), strict=True))
 
 
 def peaks(path: Path) -> tuple[FloatArray, FloatArray]:

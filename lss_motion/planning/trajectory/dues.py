@@ -24,13 +24,15 @@ class Dues(Struct, frozen=True, kw_only=True):
     """What the author wants along a path: times, holds, anchors and where lateness starts anew.
 
     `keys_s` has where keys are reached and left, in order. `held` has from where to where a hold
-    must be kept, (n, 2), in order and apart. At `seams_s` one pass ends and the next begins. A pass
-    does not make up for the lateness of another.
+    must be kept, (n, 2), in order and apart. Within `rests`, which are held, too, as much time must
+    pass as the path is long there. At `seams_s` one pass ends and the next begins. A pass does not
+    make up for the lateness of another.
     """
 
     authored: Callable[[FloatArray], FloatArray]
     keys_s: FloatArray
     held: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    rests: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     anchors_s: tuple[float, ...] = ()
     seams_s: tuple[float, ...] = ()
 
@@ -47,5 +49,15 @@ class Dues(Struct, frozen=True, kw_only=True):
 
     def is_held(self, from_s: float, to_s: float) -> bool:
         """Return whether a hold covers these positions, between which no hold starts or ends."""
-        middle_s = 0.5 * (from_s + to_s)
-        return bool(((self.held[:, 0] < middle_s) & (middle_s < self.held[:, 1])).any())
+        return _covers(self.held, from_s, to_s)
+
+    def least_s(self, from_s: float, to_s: float) -> float:
+        """Return how long the motion takes at least between two positions as in `is_held`."""
+        if _covers(self.rests, from_s, to_s):
+            return max(to_s - from_s, self.spent(from_s, to_s))
+        return self.spent(from_s, to_s) if self.is_held(from_s, to_s) else 0.0
+
+
+def _covers(spans: FloatArray, from_s: float, to_s: float) -> bool:
+    middle_s = 0.5 * (from_s + to_s)
+    return bool(((spans[:, 0] < middle_s) & (middle_s < spans[:, 1])).any())

@@ -57,7 +57,8 @@ def free_windows(
     fixed = [w for w, is_kept in zip(windows, is_fixed, strict=True) if is_kept]
     ends_s = np.array([(window.from_s, window.to_s) for window in fixed]).ravel()
     cuts_s = distinct(np.concatenate([stops_s, dues.seams_s, ends_s, [0.0, end_s]]))
-    keys_s = np.concatenate([dues.keys_s, dues.held.ravel()])  # A hold keeps its length alone.
+    # A hold keeps its length alone.
+    keys_s = np.concatenate([dues.keys_s, dues.held.ravel(), dues.rests.ravel()])
     keys_s = keys_s[(keys_s > 0.0) & (keys_s < end_s)]
     keys_s = distinct(np.concatenate([keys_s, cuts_s]))
     parts = [

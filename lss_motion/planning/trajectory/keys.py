@@ -66,6 +66,8 @@ class Key(Struct, frozen=True, kw_only=True):
     ease: Interpolation
     is_stop: bool = False
     """The joint comes to rest here, although the author does not hold it."""
+    delay_s: float = 0.0
+    """The joint reaches the key so much later than the keyframe is, in path seconds."""
 
     @property
     def is_held(self) -> bool:
@@ -244,20 +246,23 @@ class Margins(Struct, frozen=True):
     Smoothing spreads a motion by `half_s` of its joint into the rests around it, so the rest is
     planned so much longer on each side. A key that is passed in motion would be missed by the
     smoothed motion; `shifts_deg`, by joint and keyframe, is added to its angle. At `stops` the
-    joint comes to rest, because its keys are too close together for a shift.
+    joint comes to rest, because its keys are too close together for a shift. `delays_s` moves keys
+    of a joint along the path, so that the smoothed motion turns when the keyframe is reached.
     """
 
     half_s: Mapping[str, float] = field(default_factory=dict)
     shifts_deg: Mapping[tuple[str, int], float] = field(default_factory=dict)
     stops: frozenset[tuple[str, int]] = frozenset()
+    delays_s: Mapping[tuple[str, int], float] = field(default_factory=dict)
 
     def applied(self, joint: str, own: tuple[Key, ...]) -> tuple[Key, ...]:
-        """Return the keys of a joint with their shifts and stops."""
+        """Return the keys of a joint with their shifts, stops and delays."""
         return tuple(
             replace(
                 key,
                 deg=key.deg + self.shifts_deg.get((joint, key.index), 0.0),
                 is_stop=(joint, key.index) in self.stops,
+                delay_s=self.delays_s.get((joint, key.index), 0.0),
             )
             for key in own
         )

@@ -110,7 +110,8 @@ class Layout(Struct, frozen=True, kw_only=True):
         starts_s = spacing.length_s * np.arange(len(self.paths))
         keep = np.array([frame.hold_s > 0.0 and not frame.hold_may_shrink for frame in frames])
         own = np.stack([spacing.reached_s, spacing.left_s], axis=1)[keep]
-        own = np.concatenate([own, *self._longer_rests_s()])
+        rests = np.concatenate([np.zeros((0, 2)), *self._longer_rests_s()])
+        rests = (starts_s[:, None, None] + rests).reshape(-1, 2)
         is_anchor = np.array([frame.is_anchor for frame in frames])
         anchors_s = (starts_s[:, None] + spacing.reached_s[is_anchor]).ravel()
         if is_anchor.any() and self.sequence.loop != 1:
@@ -120,7 +121,8 @@ class Layout(Struct, frozen=True, kw_only=True):
         return Dues(
             authored=self.authored,
             keys_s=distinct((starts_s[:, None] + keys_s).ravel()),
-            held=united((starts_s[:, None, None] + own).reshape(-1, 2)),
+            held=united(np.concatenate([(starts_s[:, None, None] + own).reshape(-1, 2), rests])),
+            rests=rests,
             anchors_s=tuple(distinct(anchors_s).tolist()),
             seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),
         )

@@ -13,6 +13,7 @@ each, until the smoothed motion is where the author wants it (`keys.Margins`).
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
@@ -22,7 +23,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.planning.trajectory.curves import Path, peaks
+from lss_motion.planning.trajectory.curves import Path, out_of_range, peaks
 from lss_motion.planning.trajectory.keys import Margins, is_timed, keys_by_joint, rests_at
 from lss_motion.planning.trajectory.model import (
     PathClock,
@@ -35,11 +36,10 @@ from lss_motion.planning.trajectory.model import (
 )
 from lss_motion.planning.trajectory.retime import FIT_TOLERANCE_S, laid_out, scaled
 from lss_motion.planning.trajectory.tracks import planned_layout, planned_track, verified
+from lss_motion.planning.trajectory.verify import RANGE_SLACK_DEG
 from lss_motion.show.model import Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from lss_motion.planning.trajectory.solver import RateTask
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
     Limit = Literal["speed", "acceleration", "jerk"]
+    _Place = tuple[str, int]
+    """A joint and its keyframe."""
 
 WINDOW_MIN_S: Final = 0.04
 """Shortest window. Chosen: a shorter one needs more polynomials and cannot be seen."""
@@ -81,7 +83,8 @@ STOP_RATIO: Final = 0.7
 """If a round leaves more than this of the error of a key, the joint stops there instead."""
 
 JERK_MARGIN: Final = 1.01
-"""A window that is too short becomes longer by this more than needed, so that few rounds do."""
+"""A window that is too short becomes longer by this more than needed, and by as much more again in
+each round, so that few rounds do."""
 
 JERK_SLACK: Final = 1.0 - 1e-3
 """Share of the jerk limit that is used, so that the rounding of the verifier's differences fits."""
@@ -179,11 +182,27 @@ class _SeamError(Exception):
 
 @dataclass(slots=True)
 class _SmoothedPlan:
-    """A smoothed plan, with the largest jerk of each joint and the error of each passed key."""
+    """A smoothed plan, with the largest jerk of each joint and the errors of each passed key.
+
+    `aside_s` has how much later than its key a joint turns at the end of its range, in path
+    seconds, `off_deg` how far it then is from the key when that is reached, `out_deg` how far
+    joints are out of their ranges near keys.
+    """
 
     trajectory: Trajectory
     jerk: FloatArray
-    errors_deg: dict[tuple[str, int], float]
+    errors_deg: dict[_Place, float]
+    aside_s: dict[_Place, float]
+    off_deg: dict[_Place, float]
+    out_deg: dict[_Place, float]
+
+    def is_right(self) -> bool:
+        """Return whether all keys are met, and no joint leaves its range near one."""
+        return (
+            max(map(abs, self.errors_deg.values()), default=0.0) <= 0.5 * KEY_ERROR_DEG
+            and max(self.off_deg.values(), default=0.0) <= KEY_ERROR_DEG
+            and max(self.out_deg.values(), default=0.0) <= RANGE_SLACK_DEG
+        )
 
 
 class _Rounds:
@@ -204,26 +223,32 @@ class _Rounds:
         self.accel_max = np.array([robot.joints[n].accel_max_deg_s2 for n in plain.joints])
         self.speed_max = np.array([robot.joints[n].speed_max_deg_s for n in plain.joints])
         self.windows_s = self._first_windows_s()
-        self.shifts_deg: dict[tuple[str, int], float] = {}
-        self.stops: set[tuple[str, int]] = set()
+        self.more = 1.0
+        self.shifts_deg: dict[_Place, float] = {}
+        self.delays_s: dict[_Place, float] = {}
+        self.stops: set[_Place] = set()
         self.passed = _passed_keys(self.timed, robot)
 
     def smoothed(self) -> Trajectory:
         """Return the plan; raises `PlanningError` where it misses an anchor or a duration."""
-        before_deg: dict[tuple[str, int], float] = {}
+        before: _SmoothedPlan | None = None
         found = self._planned()
         for _ in range(ROUNDS_MAX):
             is_over = found.jerk > self.jerk_max
-            worst_deg = max(map(abs, found.errors_deg.values()), default=0.0)
-            if worst_deg <= 0.5 * KEY_ERROR_DEG and not is_over.any():
+            if found.is_right() and not is_over.any():
                 break
-            if not is_over.any():
-                self._stop(found.errors_deg, before_deg)
-                before_deg = found.errors_deg
-            self._lengthen(is_over, found.jerk)
-            for key, error_deg in found.errors_deg.items():
-                if key not in self.stops:
-                    self.shifts_deg[key] = self.shifts_deg.get(key, 0.0) - error_deg
+            if is_over.any():
+                self._lengthen(is_over, found.jerk)
+                before = None  # With other windows errors cannot be compared.
+            else:
+                self._stop(found, before)
+                before = found
+            for corrections, errors in (
+                (self.shifts_deg, found.errors_deg),
+                (self.delays_s, found.aside_s),
+            ):
+                for key in errors.keys() - self.stops:
+                    corrections[key] = corrections.get(key, 0.0) - errors[key]
             found = self._planned()
         trajectory = self._explained(found)
         if self.sequence.timing is Timing.FIT:
@@ -248,20 +273,24 @@ class _Rounds:
         return windows_s
 
     def _lengthen(self, is_over: NDArray[np.bool_], jerk: FloatArray) -> None:
-        ratios = np.where(is_over, JERK_MARGIN * jerk / self.jerk_max, 1.0)
+        self.more *= JERK_MARGIN
+        ratios = np.where(is_over, self.more * jerk / self.jerk_max, 1.0)
         self.windows_s = self._joined(self.windows_s * ratios)
 
-    def _stop(
-        self,
-        errors_deg: Mapping[tuple[str, int], float],
-        before_deg: Mapping[tuple[str, int], float],
-    ) -> None:
-        """Let joints rest at keys that shifts do not bring nearer: they are too close together."""
-        for key, error_deg in errors_deg.items():
-            least_deg = STOP_RATIO * abs(before_deg.get(key, math.inf))
-            if abs(error_deg) > KEY_ERROR_DEG and abs(error_deg) > least_deg:
-                self.stops.add(key)
-                self.shifts_deg.pop(key, None)
+    def _stop(self, found: _SmoothedPlan, before: _SmoothedPlan | None) -> None:
+        """Let joints rest at keys that no shift brings nearer: they are too close together."""
+        for what, least_deg in (
+            ("errors_deg", KEY_ERROR_DEG),
+            ("off_deg", KEY_ERROR_DEG),
+            ("out_deg", RANGE_SLACK_DEG),
+        ):
+            then_deg = {} if before is None else getattr(before, what)
+            for key, error_deg in getattr(found, what).items():
+                limit_deg = STOP_RATIO * abs(then_deg.get(key, math.inf))
+                if abs(error_deg) > max(least_deg, limit_deg):
+                    self.stops.add(key)
+                    self.shifts_deg.pop(key, None)
+                    self.delays_s.pop(key, None)
         for name, own in self.passed.items():
             self.passed[name] = [key for key in own if (name, key.index) not in self.stops]
 
@@ -275,7 +304,7 @@ class _Rounds:
         half_s = dict(
             zip(self.plain.joints, (0.5 * self.windows_s + 2.0 * step_s).tolist(), strict=True)
         )
-        margins = Margins(half_s=half_s, shifts_deg=self.shifts_deg, stops=frozenset(self.stops))
+        margins = Margins(half_s, self.shifts_deg, frozenset(self.stops), self.delays_s)
         try:
             base = planned_layout(laid_out(self.timed, self.robot, margins, may_flow=self.may_flow))
         except PlanningError as error:
@@ -297,33 +326,42 @@ class _Rounds:
             ],
             axis=0,
         )
-        return _SmoothedPlan(trajectory, jerk / JERK_SLACK, self._key_errors_deg(trajectory))
+        found = _SmoothedPlan(trajectory, jerk / JERK_SLACK, {}, {}, {}, {})
+        self._measure_keys(found, motions_of(base)[0].clock)
+        return found
 
-    def _key_errors_deg(self, trajectory: Trajectory) -> dict[tuple[str, int], float]:
-        """Return the error of each key that is passed in motion.
+    def _measure_keys(self, found: _SmoothedPlan, clock: PathClock) -> None:
+        """Measure the errors of all keys that are passed in motion.
 
-        Where the joint turns at the end of its range it is that of the turn, which may lie beside
-        the key, and the aim is slightly inside: the turn must not be out of range.
+        Where the joint turns at the end of its range that of the angle is that of the turn, which
+        may lie beside the key, and the aim is slightly inside: the turn must not be out of range.
         """
-        errors_deg: dict[tuple[str, int], float] = {}
+        trajectory = found.trajectory
         for column, name in enumerate(trajectory.joints):
             own = self.passed[name]
             at_s = np.array([trajectory.marks[key.index].planned_s for key in own])
             # The spline rounds each turn, also that of a joint without a window.
             reach_s = 0.5 * self.windows_s[column] + 2.0 * self._step_s()
             count = math.ceil(reach_s / TURN_STEP_S)
-            turns = [key.turn != 0 for key in own]
             around_s = TURN_STEP_S * np.arange(-count, count + 1)
-            near_s = (at_s[turns][:, None] + around_s).ravel()
+            near_s = (at_s[:, None] + around_s).ravel()
             near_deg = trajectory.sample(near_s)[:, column].reshape(-1, len(around_s))
-            ends_deg = iter(zip(near_deg.min(axis=1), near_deg.max(axis=1), strict=True))
-            for key, deg in zip(own, trajectory.sample(at_s)[:, column].tolist(), strict=True):
-                error_deg = deg - key.deg
+            joint = self.robot.joints[name]
+            range_deg = (joint.position_min_deg, joint.position_max_deg)
+            outside = out_of_range(motions_of(trajectory)[0].path, column, range_deg)
+            for knot_s, out_deg in outside if own else ():
+                place = name, own[int(np.abs(at_s - knot_s).argmin())].index
+                found.out_deg[place] = max(found.out_deg.get(place, 0.0), out_deg)
+            rates = clock.positions(at_s)[1]
+            for k, key in enumerate(own):
+                place, deg = (name, key.index), float(near_deg[k, count])
+                found.errors_deg[place] = deg - key.deg
                 if key.turn:
-                    turn_deg = float(next(ends_deg)[0 if key.turn < 0 else 1])
-                    error_deg = turn_deg - key.deg + 0.5 * key.turn * KEY_ERROR_DEG
-                errors_deg[name, key.index] = error_deg
-        return errors_deg
+                    turn = int((key.turn * near_deg[k]).argmax())
+                    turn_deg = float(near_deg[k, turn])
+                    found.errors_deg[place] = turn_deg - key.deg + 0.5 * key.turn * KEY_ERROR_DEG
+                    found.aside_s[place] = float(around_s[turn] * rates[k])
+                    found.off_deg[place] = abs(turn_deg - deg)
 
     def _explained(self, found: _SmoothedPlan) -> Trajectory:
         """Return the plan with what smoothing cost, and without times that are not the author's."""
@@ -399,7 +437,14 @@ class _PassedKey(Struct, frozen=True):
 def _passed_keys(sequence: Show, robot: Robot) -> dict[str, list[_PassedKey]]:
     """Return the keys of each joint that are passed in motion, but for the ends of a pass."""
     found = {}
-    for name, own in keys_by_joint(sequence, robot).items():
+    for name, every in keys_by_joint(sequence, robot).items():
+        left_s = [-1.0, *((sequence.keyframes[k.index].at_s or 0.0) + k.hold_s for k in every)]
+        # Keys at one instant, or under a hold, are one; as in `curves.joint_keys`.
+        own = [
+            key
+            for key, before_s in zip(every, itertools.accumulate(left_s, max), strict=False)
+            if (sequence.keyframes[key.index].at_s or 0.0) > before_s
+        ]
         deg = np.array([key.deg for key in own])
         is_held = np.array([key.hold_s > 0.0 for key in own])
         is_rest = rests_at(deg, is_held, tuple(key.ease for key in own))

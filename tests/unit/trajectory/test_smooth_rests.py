@@ -93,6 +93,102 @@ def test_a_show_that_is_too_fast_rests_at_both_ends_for_smoothing(limits, times,
     assert np.abs(found.sample(np.array([0.0, found.duration_s]), 1)).max() < 1e-6
 
 
+LATE_TURN = (  # The others are so slow that the first joint is where it turns long before its mark.
+    {
+        "j0": (-149.74, 71.329, 600.0, 600.0, 2000.0),
+        "j1": (-122.876, 47.549, 180.0, 1000.0, 4000.0),
+        "j2": (-97.989, 84.841, 600.0, 600.0, 20000.0),
+        "j3": (-145.961, 131.255, 600.0, 600.0, 20000.0),
+    },
+    (0.0, 0.79, 1.36, 1.59),
+    [
+        {"j1": 10.627, "j3": 131.255},
+        {"j0": -149.74, "j2": -97.989},
+        {"j0": 71.329, "j1": 47.549, "j2": -81.74, "j3": -49.286},
+        {"j1": -26.417},
+    ],
+)
+TWICE_AT_THE_END = (
+    {
+        "j0": (-125.796, 125.876, 600.0, 1000.0, 4000.0),
+        "j1": (-77.563, 61.162, 360.0, 1000.0, 8000.0),
+    },
+    (None, None, None, None),
+    [
+        {"j0": -125.796, "j1": 61.162},
+        {"j0": 125.876, "j1": -35.783},
+        {"j0": 125.876},
+        {"j0": 55.03, "j1": 61.162},
+    ],
+)
+NEAR_THE_END = (
+    {"j0": (-146.033, 105.963, 600.0, 1000.0, 4000.0)},
+    (0.0, 0.78, 0.98, 2.1, 2.4, 3.02),
+    [{"j0": deg} for deg in (105.963, -146.033, 105.419, 105.963, 105.963, -140.371)],
+)
+CLOSE_AT_THE_END = (
+    {
+        "j0": (-64.815, 32.404, 360.0, 600.0, 2000.0),
+        "j1": (-124.586, 56.965, 600.0, 1000.0, 4000.0),
+    },
+    (0.0, 1.2, 2.77, 3.05, 4.09, 4.31),
+    [
+        {"j0": -17.616, "j1": -124.02},
+        {"j0": -64.815, "j1": 56.965},
+        {"j0": -64.815, "j1": -109.541},
+        {"j0": -64.815, "j1": -124.586},
+        {"j0": 18.981, "j1": 56.965},
+        {"j0": 15.661},
+    ],
+)
+
+
+def any_show(seed: int) -> tuple[dict, tuple, list]:
+    """Return limits, times and angles, many of them at or near the ends of ranges."""
+    random = np.random.default_rng(seed)
+    names = [f"j{index}" for index in range(int(random.integers(1, 4)))]
+    limits = {
+        name: (
+            -round(float(random.uniform(60.0, 170.0)), 3),
+            round(float(random.uniform(30.0, 150.0)), 3),
+            float(random.choice([180.0, 360.0, 600.0])),
+            float(random.choice([600.0, 700.0, 1000.0])),
+            float(random.choice([2000.0, 4000.0, 8000.0, 20000.0, math.inf])),
+        )
+        for name in names
+    }
+    is_timed, at_s = random.random() < 0.5, 0.0
+    times, degs = [], []
+    for _ in range(int(random.integers(3, 8))):
+        chosen = [name for name in names if random.random() < 0.6] or names[:1]
+        times.append(round(at_s, 2) if is_timed else None)
+        at_s += float(random.uniform(0.2, 1.2))
+        deg = {}
+        for name in chosen:
+            low, high = limits[name][:2]
+            near = float(random.choice([0.0, 0.0, round(float(random.uniform(0.15, 0.6)), 3)]))
+            other = round(float(random.uniform(low, high)), 3)
+            deg[name] = float(random.choice([low + near, high - near, other]))
+        degs.append(deg)
+    return limits, tuple(times), degs
+
+
+KINDS = (LATE_TURN, TWICE_AT_THE_END, NEAR_THE_END, CLOSE_AT_THE_END)
+
+
+@pytest.mark.parametrize("show", [*KINDS, *map(any_show, range(24))])
+def test_with_a_jerk_limit_every_key_is_reached_at_its_mark(show) -> None:
+    limits, times, degs = show
+    robot = arm(limits)
+    frames = tuple(Keyframe(at_s=at_s, deg=deg) for at_s, deg in zip(times, degs, strict=True))
+    timing = Timing.FASTEST if times[0] is None else Timing.AUTHORED
+    found = plan(Sequence(name="keys", timing=timing, keyframes=frames), robot)
+    verify(found, robot)
+    for mark, deg in zip(found.marks, degs, strict=True):
+        reached = dict(zip(found.joints, found.sample(np.array([mark.planned_s]))[0], strict=True))
+        assert {name: reached[name] for name in deg} == pytest.approx(deg, abs=0.004), mark
+
+
 def test_a_key_that_is_not_reached_when_it_should_be_is_named() -> None:
     limits = {
         "j1": (-81.601, 110.617, 180.0, 600.0, math.inf),
