@@ -155,7 +155,7 @@ def _check(arguments: argparse.Namespace) -> int:
                 path=arguments.file,
             )
         robot = reader(arguments, may_query=False)(arguments.file)
-        robot.require_turns(robot.joints.values())
+        robot.require_turns(robot.servo_robot.joints.values())
         if arguments.json:
             from lss_motion.planning.check_json import robot_as_json
 

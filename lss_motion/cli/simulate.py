@@ -112,7 +112,7 @@ def _sim(arguments: argparse.Namespace) -> int:
     from lss_motion.sim.pty import serve
     from lss_motion.units import NS_PER_MS
 
-    robot = load_robot(arguments.robot)
+    robot = load_robot(arguments.robot).servo_robot
     faults: tuple[Fault, ...] = ()
     if arguments.faults is not None:
         from lss_motion.sim.faults import load_faults

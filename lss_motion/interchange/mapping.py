@@ -27,7 +27,7 @@ from lss_motion.interchange.reader import (
     Measure,
     summarised,
 )
-from lss_motion.robot.file import AngleDeg  # noqa: TC001  (read when it is checked)
+from lss_motion.robot.linkage_file import AngleDeg  # noqa: TC001  (read when it is checked)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -22,12 +22,13 @@ from lss_motion.planning.summaries import (
     smoothings,
 )
 from lss_motion.planning.trajectory.model import GivenUp, SlowSpan, Smoothing  # noqa: TC001
+from lss_motion.robot.model import NO_SERVO
 from lss_motion.show.functions import calls_of
 
 if TYPE_CHECKING:
     from lss_motion.planning.shows import Show
     from lss_motion.planning.trajectory.model import Mark, Trajectory
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
 
 SCHEMA_VERSION: Final = 1
 
@@ -131,11 +132,20 @@ class JointCheck(Struct, frozen=True, kw_only=True):
     """A joint and its limits; null: the servo has the limit."""
 
     bus: str
-    id: int
+    id: int | None
+    """Of its servo; null: a mechanism moves it."""
     model: str
     range_deg: tuple[float, float]
     speed_max_deg_s: float | None
     accel_max_deg_s2: float | None
+
+
+class MechanismCheck(Struct, frozen=True, kw_only=True):
+    """What stands between joints and servos."""
+
+    kind: str
+    joints: Sequence[str]
+    servos: Sequence[str]
 
 
 class FigureCheck(Struct, frozen=True, kw_only=True):
@@ -153,6 +163,9 @@ class RobotCheck(Struct, frozen=True, kw_only=True):
     name: str
     buses: Mapping[str, BusCheck]
     joints: Mapping[str, JointCheck]
+    servos: Mapping[str, JointCheck] | UnsetType = UNSET
+    """In degrees of ideal servos; only of a robot with mechanisms, as those."""
+    mechanisms: Mapping[str, MechanismCheck] | UnsetType = UNSET
     poses: Sequence[str]
     figure: FigureCheck | None
 
@@ -243,6 +256,22 @@ def _late(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
+def _joint_checks(joints: Mapping[str, Joint]) -> dict[str, JointCheck]:
+    return {
+        joint.name: JointCheck(
+            bus=joint.bus,
+            id=None if joint.servo_id == NO_SERVO else joint.servo_id,
+            model=joint.model.name,
+            range_deg=(joint.position_min_deg, joint.position_max_deg),
+            **{
+                limit: None if limit in joint.unread else getattr(joint, limit)
+                for limit in ("speed_max_deg_s", "accel_max_deg_s2")
+            },
+        )
+        for joint in joints.values()
+    }
+
+
 def robot_as_json(robot: Robot) -> dict[str, Any]:
     """Return the result of `check --json` for a robot file.
 
@@ -254,19 +283,13 @@ def robot_as_json(robot: Robot) -> dict[str, Any]:
     found = RobotCheck(
         name=robot.name,
         buses={b.name: BusCheck(port=b.port, baud_bps=b.baud_bps) for b in robot.buses.values()},
-        joints={
-            joint.name: JointCheck(
-                bus=joint.bus,
-                id=joint.servo_id,
-                model=joint.model.name,
-                range_deg=(joint.position_min_deg, joint.position_max_deg),
-                **{
-                    limit: None if limit in joint.unread else getattr(joint, limit)
-                    for limit in ("speed_max_deg_s", "accel_max_deg_s2")
-                },
-            )
-            for joint in robot.joints.values()
-        },
+        joints=_joint_checks(robot.joints),
+        servos=_joint_checks(robot.servos) if robot.servos else UNSET,
+        mechanisms={
+            name: MechanismCheck(kind=one.kind, joints=one.joints, servos=one.servos)
+            for name, one in robot.mechanisms.items()
+        }
+        or UNSET,
         poses=list(robot.poses),
         figure=None
         if figure is None

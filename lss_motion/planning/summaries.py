@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +15,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.files.texts import counted
+from lss_motion.robot.model import NO_SERVO
 from lss_motion.show.functions import call_lines
 from lss_motion.system.clock_leg import RATE_BAND
 from lss_motion.units import SPEED_RATIO_MAX
@@ -462,22 +464,50 @@ def robot_lines(robot: Robot) -> list[str]:
     lines += [f"bus {b.name}: {b.port} at {b.baud_bps} bps" for b in robot.buses.values()]
     width = max(len(name) for name in (*robot.joints, "joint"))
     lines.append(f"{'joint':{width}}   id  model          range deg        deg/s   deg/s²")
-    for joint in robot.joints.values():
-        reach = f"{joint.position_min_deg:g} to {joint.position_max_deg:g}"
-        speed, accel = (
-            "servo" if limit in joint.unread else f"{value:g}"
-            for limit, value in (
-                ("speed_max_deg_s", joint.speed_max_deg_s),
-                ("accel_max_deg_s2", joint.accel_max_deg_s2),
-            )
-        )
-        lines.append(
-            f"{joint.name:{width}}  {joint.servo_id:3d}  {joint.model.name:13}  {reach:15}  "
-            f"{speed:>5}  {accel:>7}"
-        )
+    lines += map(partial(_limits_line, width=width), robot.joints.values())
+    if robot.servos:
+        lines += mechanism_lines(robot)
     if (figure := figure_of(robot)) is not None:
         lines.append(f"figure: {counted(figure.links, 'link')}")
         lines += [f"  {note}" for note in figure.notes]
+    return lines
+
+
+def _limits_line(joint: Joint, width: int) -> str:
+    """Return a row of the table of limits; `servo`: read from the servo."""
+    reach = f"{joint.position_min_deg:.6g} to {joint.position_max_deg:.6g}"
+    speed, accel = (
+        "servo" if limit in joint.unread else f"{value:g}"
+        for limit, value in (
+            ("speed_max_deg_s", joint.speed_max_deg_s),
+            ("accel_max_deg_s2", joint.accel_max_deg_s2),
+        )
+    )
+    servo_id = "  -" if joint.servo_id == NO_SERVO else f"{joint.servo_id:3d}"
+    return (
+        f"{joint.name:{width}}  {servo_id}  {joint.model.name:13}  {reach:15}  "
+        f"{speed:>5}  {accel:>7}"
+    )
+
+
+def mechanism_lines(robot: Robot) -> list[str]:
+    """Return the servos of a robot with mechanisms, and what stands between them and the joints."""
+    from lss_motion.robot.mechanisms import transmission_text, unevenness
+
+    names = [name for mechanism in robot.mechanisms.values() for name in mechanism.servos]
+    width = max(len(name) for name in (*names, "servo"))
+    lines = [f"{'servo':{width}}   id  model          range deg        deg/s   deg/s²"]
+    lines += [_limits_line(robot.servos[name], width) for name in names]
+    for mechanism in robot.mechanisms.values():
+        lines.append(f"{mechanism.name}: {transmission_text(mechanism, robot.joints)}")
+        lines += [
+            f"  at joint angle {at:g} deg the servo was measured at {was:g} deg; smoothed, it is "
+            f"taken to be at {now:.2f} deg"
+            for at, was, now in mechanism.moved_deg
+        ]
+        joint, servo = robot.joints[mechanism.joints[0]], robot.servos[mechanism.servos[0]]
+        if text := unevenness(mechanism, joint, servo):
+            lines.append(f"warning: {text}")
     return lines
 
 

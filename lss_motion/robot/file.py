@@ -7,7 +7,7 @@ format.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from lss_motion.files.keys import (
     FILE_VERSION,
@@ -29,7 +29,8 @@ from lss_motion.protocol.lss_pro import (
     SPEED_DEG_S,
     WHEEL_DEG_S,
 )
-from lss_motion.robot.figure import DIRECTIONS
+from lss_motion.robot.figure_file import FIGURE_LINKS_MAX, FigureLinkEntry, UrdfEntry
+from lss_motion.robot.linkage_file import PATH_MAX_CHARS, AngleDeg, LinkageEntry, Ratio
 from lss_motion.robot.model import (
     GOAL_TIME_S,
     PATIENCE_S,
@@ -47,9 +48,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-ANGLE_MAX_DEG: Final = 36_000.0
-"""A hundred turns: more than any winch; a larger angle is a typing error."""
-
 SPEED_MIN_DEG_S: Final = 0.1
 """The unit of SD on the wire (FACTS.md C24: tenths of a degree per second)."""
 
@@ -62,10 +60,6 @@ JERK_MAX_DEG_S3: Final = 1e6
 
 ACCEL_MIN_DEG_S2: Final = 0.1
 """A hundredth of the smallest ramp of a servo; less is a typing error."""
-
-
-PORT_MAX_CHARS: Final = 256
-"""Names below /dev/serial/by-id are long, but not longer than this."""
 
 
 def _check_escalation(
@@ -178,7 +172,7 @@ def _check_baud(baud_bps: int) -> int:
     return baud_bps
 
 
-PortUrl = Annotated[str, Field(min_length=1, max_length=PORT_MAX_CHARS), Check(check_text)]
+PortUrl = Annotated[str, Field(min_length=1, max_length=PATH_MAX_CHARS), Check(check_text)]
 SpeedLimit = Annotated[
     float | str | None,
     Plain(_check_limit(SPEED_MIN_DEG_S), _limit_schema(SPEED_MIN_DEG_S)),
@@ -188,7 +182,6 @@ AccelLimit = Annotated[
     Plain(_check_limit(ACCEL_MIN_DEG_S2), _limit_schema(ACCEL_MIN_DEG_S2)),
 ]
 PulseUs = Annotated[int, Field(ge=100, le=5000)]
-AngleDeg = Annotated[float, Field(ge=-ANGLE_MAX_DEG, le=ANGLE_MAX_DEG)]
 
 
 class BusEntry(FileModel, title="bus"):
@@ -376,13 +369,100 @@ class JointDefaults(FileModel, title="joint defaults"):
     response: ResponseEntry | None = None
 
 
-class JointEntry(JointDefaults, title="joint"):
-    """One servo and its limits."""
+class ServoLimitsEntry(FileModel, title="servo of a joint"):
+    """Limits of the servo of a joint with a ratio or a linkage, in degrees of the servo.
 
-    id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the servo on its bus (QID).")
+    They hold beside those of the joint. Left out: what the model can do, and what the range of the
+    joint needs.
+    """
+
+    range_deg: Annotated[list[AngleDeg], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="Least and largest angle of the servo, before zero and direction."
+    )
+    speed_max_deg_s: float | None = Field(
+        default=None, ge=SPEED_MIN_DEG_S, description="The servo never moves faster."
+    )
+    accel_max_deg_s2: float | None = Field(
+        default=None, ge=ACCEL_MIN_DEG_S2, description="It never speeds up or brakes harder."
+    )
+
+
+class JointEntry(JointDefaults, title="joint"):
+    """A joint and its limits; with an id, it has a servo of its own."""
+
+    id: int | None = Field(
+        default=None,
+        ge=0,
+        le=SERVO_ID_MAX,
+        description="Id of the servo on its bus (QID). Left out: the joint is moved by one of "
+        "mechanisms.",
+    )
+    ratio: Ratio | None = Field(
+        default=None,
+        description="Gear: the servo turns so many degrees for one degree of the joint.",
+        examples=[2.5],
+    )
+    linkage: LinkageEntry | None = Field(
+        default=None,
+        description="Push rod or four-bar between servo and joint.",
+        examples=[{"joint_deg": [0, 5, 12, 22], "servo_deg": [-8, 6, 30, 71]}],
+    )
+    servo: ServoLimitsEntry | None = Field(
+        default=None,
+        description="Limits of the servo in its own degrees, for a joint with ratio or linkage.",
+        examples=[{"speed_max_deg_s": 150}],
+    )
     on_fault: JointOnFaultEntry = Field(
         default_factory=JointOnFaultEntry,
         description="What is done when something is wrong with this joint.",
+    )
+
+
+class MechanismServoEntry(JointDefaults, title="servo of a mechanism"):
+    """One servo of a mechanism. Its range and limits are in degrees of the servo.
+
+    servo angle = zero_deg + direction * what the mechanism makes of the joint angles.
+    """
+
+    id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the servo on its bus (QID).")
+
+
+class MechanismEntry(FileModel, title="mechanism"):
+    """Servos that move joints together; its servos are called NAME.SERVO, such as neck.left."""
+
+    kind: Literal["differential", "pair", "table"] = Field(
+        description="differential: servos move joints by a matrix. pair: two or more servos side "
+        "by side move one joint. table: a measured grid of two joints, in a file."
+    )
+    joint: Name | None = Field(default=None, description="pair: the joint.")
+    joints: Annotated[list[Name], Field(min_length=1)] | None = Field(
+        default=None,
+        description="differential, table: the joints, in the order of the columns.",
+        examples=[["neck_tilt", "neck_roll"]],
+    )
+    servos: Annotated[dict[Name, MechanismServoEntry], Field(min_length=1)] = Field(
+        description="The servos by name, in the order of the rows.",
+        examples=[{"left": {"id": 5}, "right": {"id": 6, "direction": -1}}],
+    )
+    matrix: Annotated[list[list[float]], Field(min_length=1)] | None = Field(
+        default=None,
+        description="differential: servo degrees per joint degree; a row for each servo, a column "
+        "for each joint.",
+        examples=[[[1.8, 1.2], [1.8, -1.2]]],
+    )
+    ratio: Ratio | None = Field(
+        default=None, description="pair: servo degrees per joint degree. Default 1."
+    )
+    file: PortUrl | None = Field(
+        default=None,
+        description="table: a CSV file with a row for each measured place, a column JOINT_deg for "
+        "each joint and SERVO_deg for each servo. Every angle of one joint stands beside every "
+        "angle of the other. Its path is relative to the robot file.",
+        examples=["eyes.csv"],
+    )
+    on_fault: JointOnFaultEntry = Field(
+        default_factory=JointOnFaultEntry,
+        description="What is done when something is wrong with one of its servos.",
     )
 
 
@@ -463,121 +543,13 @@ class MirrorEntry(FileModel, title="mirror"):
     )
 
 
-AXES_COUNT: Final = 3
-DIRECTION_MAX: Final = 1e6
-"""Chosen: far more than the length of a direction that is meant in mm."""
-
-
-def _check_direction_of(value: object, _key: str) -> object:
-    if isinstance(value, str) and value in DIRECTIONS:
-        return value
-    if (
-        isinstance(value, list)
-        and len(value) == AXES_COUNT
-        and all(type(part) in (int, float) and abs(part) <= DIRECTION_MAX for part in value)
-    ):
-        if math.hypot(*value) * DIRECTION_MAX >= 1.0:
-            return value
-        raise ValueError("is no direction; one part must not be 0")
-    words = ", ".join(DIRECTIONS)
-    raise ValueError(f"must be one of {words}, or a direction such as [1, 0, 0.5]")
-
-
-Direction = Annotated[
-    str | list[float] | None,
-    Plain(
-        _check_direction_of,
-        {
-            "anyOf": [
-                {"enum": list(DIRECTIONS)},
-                {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
-            ]
-        },
-    ),
-]
-FIGURE_MAX_MM: Final = 100_000.0
-"""Chosen: a hundred metres; more is a typing error or another unit."""
-FIGURE_LINKS_MAX: Final = 500
-"""Chosen: ten times the links of the largest figure that is known to be driven by such servos."""
-FigureMm = Annotated[float, Field(ge=-FIGURE_MAX_MM, le=FIGURE_MAX_MM)]
-FigureSizeMm = Annotated[float, Field(gt=0.0, le=FIGURE_MAX_MM)]
-
-
-class FigureLinkEntry(FileModel, title="link of a figure"):
-    """One part of the picture of the robot: a bar that a joint turns about its beginning.
-
-    Directions are x forward, y left and z up, those of the robot with all joints at rest_deg.
-    """
-
-    parent: Name | None = Field(
-        default=None,
-        description="The link at whose end this one begins. Left out: it stands on the ground.",
-    )
-    joint: Name | None = Field(
-        default=None,
-        description="The joint that turns it. Several links may have the same one. Left out: it "
-        "is fixed to its parent.",
-    )
-    axis: Direction = Field(
-        default=None,
-        description="The joint turns it about this direction, counter-clockwise for larger angles "
-        "if the direction points at you.",
-        examples=["y"],
-    )
-    rest_deg: AngleDeg = Field(
-        default=0.0, description="The angle of the joint at which the link points along."
-    )
-    along: Direction = Field(default="x", description="Where it points from its beginning.")
-    length_mm: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=FIGURE_MAX_MM,
-        description="How long it is. 0: nothing is drawn, such as between two joints in one place.",
-    )
-    offset_mm: Annotated[list[FigureMm], Field(min_length=3, max_length=3)] = Field(
-        default=[0.0, 0.0, 0.0],
-        description="Where it begins, from the end of its parent: x, y, z.",
-    )
-    width_mm: float | None = Field(
-        default=None,
-        gt=0.0,
-        le=FIGURE_MAX_MM,
-        description="How thick it is drawn. Default: a thirtieth of the whole figure.",
-    )
-    ball_mm: Annotated[list[FigureSizeMm], Field(min_length=3, max_length=3)] | None = Field(
-        default=None,
-        description="A ball in place of the bar, in the middle of it: its diameters along x, y and "
-        "z, such as those of a head.",
-        examples=[[80, 70, 90]],
-    )
-    shade: Literal["dark", "light"] | None = Field(
-        default=None,
-        description="Drawn dark or light, as an eye. Left out: in the colour of the figure.",
-    )
-    foot: bool = Field(
-        default=False,
-        description="The robot stands on the end of this link: the ground is drawn below the "
-        "lowest foot.",
-    )
-
-
-class UrdfEntry(FileModel, title="urdf"):
-    """A URDF file as the picture of the robot. Its meshes are drawn if they are STL files."""
-
-    file: PortUrl = Field(
-        description="The file; its path is relative to the robot file and stays below its folder, "
-        "as those of its meshes."
-    )
-    joints: dict[Name, Text] = Field(
-        default={},
-        description="The joint of the URDF file for each joint of this file. Left out: joints of "
-        "the same name.",
-        examples=[{"shoulder": "shoulder_pan_joint"}],
-    )
-
-
 class RobotFile(FileModel, title="robot file"):
     """A robot: its buses, its joints with their limits, and named poses."""
+
+    more_schema: ClassVar[dict[str, Any]] = {
+        "if": {"not": {"required": ["mechanisms"]}},
+        "then": {"properties": {"joints": {"additionalProperties": {"required": ["id"]}}}},
+    }
 
     robot: Text = Field(description="Name of the robot, as shown on screen and in reports.")
     version: Version = Field(default=FILE_VERSION, description=VERSION)
@@ -595,6 +567,19 @@ class RobotFile(FileModel, title="robot file"):
     )
     joints: Annotated[dict[Name, JointEntry], Field(min_length=1)] = Field(
         description="Joints by name, in the order in which tables and plots show them."
+    )
+    mechanisms: dict[Name, MechanismEntry] = Field(
+        default={},
+        description="Servos that move joints together, by name: neck differentials, pairs, eyes.",
+        examples=[
+            {
+                "shoulder": {
+                    "kind": "pair",
+                    "joint": "upper_arm",
+                    "servos": {"front": {"id": 7}, "back": {"id": 8, "direction": -1}},
+                }
+            }
+        ],
     )
     poses: dict[Name, Annotated[dict[Name, AngleDeg], Field(min_length=1)]] = Field(
         default={},

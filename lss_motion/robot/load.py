@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -23,8 +22,8 @@ from lss_motion.protocol.framing import DISABLED
 from lss_motion.protocol.io2 import rc_zero_deg
 from lss_motion.protocol.lss import LSS_FIRMWARE
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, Units
-from lss_motion.robot.figure import ORIGIN, Figure, FigureLink, Shape, unit_vector
-from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor, UrdfSource
+from lss_motion.robot.figure_links import figure_from
+from lss_motion.robot.model import NO_SERVO, SERVO, Bus, Joint, Response, Robot, Sensor, UrdfSource
 from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
     FAMILIES,
@@ -40,12 +39,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from lss_motion.files.yaml_source import YamlSource
-    from lss_motion.robot.figure import Shade, Vector
     from lss_motion.robot.file import (
-        FigureLinkEntry,
         JointDefaults,
         JointEntry,
         JointOnFaultEntry,
+        MechanismEntry,
         MirrorEntry,
         RobotFile,
         SensorEntry,
@@ -65,6 +63,18 @@ MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
     "accel_max_deg_s2": lambda model: model.accel_max_deg_s2,
 }
 """The largest value that a model allows, by the name of the limit."""
+
+_NOT_SHARED: Final = frozenset({"id", "on_fault", "ratio", "linkage", "servo"})
+
+_OF_JOINT: Final = (
+    "speed_max_deg_s",
+    "accel_max_deg_s2",
+    "jerk_max_deg_s3",
+    "following_deg",
+    "goal_tolerance_deg",
+    "goal_time_s",
+)
+"""What belongs to a joint behind a transmission; all else belongs to its servos."""
 
 _PLAIN: Final = (
     "speed_max_deg_s",
@@ -131,21 +141,28 @@ def robot_schema() -> dict[str, Any]:
 
 @dataclass(slots=True)
 class _Merged:
-    """The fields of one joint, its own in place of the defaults, and the location of each."""
+    """The fields of one servo, its own in place of the defaults, and the location of each."""
 
-    fields: dict[str, Any]
-    places: dict[str, Location]
+    name: str
+    at: Location
+    """The location of its entry."""
+    fields: dict[str, Any] = field(default_factory=dict)
+    places: dict[str, Location] = field(default_factory=dict)
 
     def place(self, name: str) -> Location:
         return self.places[name]
 
+    def put(self, key: str, value: object, place: Location) -> None:
+        """Set a field, as if it stood at that place."""
+        self.fields[key], self.places[key] = value, place
 
-def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
-    merged = _Merged({}, {})
-    for owner, location in ((defaults, ("defaults",)), (entry, ("joints", name))):
+
+def _merge(name: str, at: Location, defaults: JointDefaults, entry: JointDefaults) -> _Merged:
+    merged = _Merged(name, at)
+    for owner, location in ((defaults, ("defaults",)), (entry, at)):
         for key in owner.given:
             value = getattr(owner, key)
-            if value is None:  # A key without a value; validation has reported it.
+            if value is None or key in _NOT_SHARED:  # None: validation has reported it.
                 continue
             if key == "response":
                 value = merged.fields.get(key, {}) | value.known()
@@ -168,6 +185,8 @@ class _RobotLoader:
     left_out: frozenset[Location]
     line: Callable[[Location], int]
     problems: list[Mistake] = field(default_factory=list)
+    id_places: dict[str, Location] = field(default_factory=dict)
+    """Where the ids of the servos of mechanisms stand."""
 
     @property
     def _units(self) -> Units:
@@ -188,15 +207,27 @@ class _RobotLoader:
             for name, b in content.buses.items()
         }
         self._check_buses(buses)
-        built = {name: self._joint(name, entry) for name, entry in content.joints.items()}
+        moved = self._movers()
+        built = {
+            name: self._joint(name, entry)
+            for name, entry in content.joints.items()
+            if name not in moved
+        }
         joints = {name: joint for name, joint in built.items() if joint is not None}
-        self._check_ids(joints)
-        self._check_units(joints)
-        for location, reason in board_problems(buses, joints):
-            if self._is_checked(*location[:2]):
-                self._note(location, reason)
+        servos, mechanisms = joints, {}
+        if moved or content.mechanisms or any(map(has_transmission, content.joints.values())):
+            from lss_motion.robot.servos import ServoLoader
+
+            found = ServoLoader(self, joints, path.parent)
+            joints, servos, mechanisms = found.joints, found.servos, found.mechanisms
+        self._check_ids(servos)
+        self._check_units(servos)
+        for place, reason in board_problems(buses, servos):
+            if self._is_checked(*place[:2]):
+                at = self.id_places.get(place[1])
+                self.note(place if at is None else (*at[:-1], place[2]), reason)
         self._check_poses(joints)
-        sensors, problems = sensors_of(content.sensors, buses, joints)
+        sensors, problems = sensors_of(content.sensors, buses, servos)
         self.problems += problems if self._is_checked("buses") else []
         self.problems += group_problems(content.groups, self._named())
         self.problems += mirror_problems(content.mirror, self._named())
@@ -209,6 +240,8 @@ class _RobotLoader:
             path=path,
             buses=buses,
             joints=joints,
+            mechanisms=mechanisms,
+            servos=servos if mechanisms else {},
             poses=content.poses,
             visemes=content.visemes,
             groups=grouped(content.groups, joints),
@@ -229,16 +262,16 @@ class _RobotLoader:
         if entry is None:
             return None
         if self.content.figure:
-            self._note(("urdf",), "'urdf' and 'figure' exclude each other; keep one")
+            self.note(("urdf",), "'urdf' and 'figure' exclude each other; keep one")
         file = PurePosixPath(entry.file.replace("\\", "/"))
         if file.is_absolute() or ".." in file.parts or ":" in entry.file:
             reason = f"urdf file {entry.file!r} must be a path below the folder of the robot file"
-            self._note(("urdf", "file"), reason)
+            self.note(("urdf", "file"), reason)
         named = self._named()
         for joint in entry.joints:
             if joint not in named:
                 reason = f"urdf: unknown joint {joint!r}; {known_names(joint, named)}"
-                self._note(("urdf", "joints", joint), reason)
+                self.note(("urdf", "joints", joint), reason)
         lines = {name: self.line(("urdf", "joints", name)) for name in entry.joints}
         return UrdfSource(
             path=path.parent / file,
@@ -247,7 +280,7 @@ class _RobotLoader:
             lines={**lines, "": self.line(("urdf", "file"))},
         )
 
-    def _note(self, location: Location, reason: str) -> None:
+    def note(self, location: Location, reason: str) -> None:
         self.problems.append(Mistake(location, reason))
 
     def _is_checked(self, *location: str) -> bool:
@@ -258,7 +291,7 @@ class _RobotLoader:
         for name, bus in buses.items():
             firmware_min = BAUD_FIRMWARE_MIN[bus.baud_bps]
             if bus.firmware < firmware_min:
-                self._note(
+                self.note(
                     ("buses", name, "baud_bps"),
                     f"{bus.baud_bps} bps needs firmware {firmware_min} or later, but bus "
                     f"{name!r} has {bus.firmware}; lower baud_bps or update the servos",
@@ -266,26 +299,105 @@ class _RobotLoader:
             if bus.port == SIMULATED_PORT:
                 continue
             if bus.port in ports:
-                self._note(
+                self.note(
                     ("buses", name, "port"),
                     f"port {bus.port!r} already carries bus {ports[bus.port]!r}; "
                     "give each bus its own port",
                 )
             ports.setdefault(bus.port, name)
 
+    def _movers(self) -> dict[str, str]:
+        """Return the mechanism of each joint that has one; note what has two."""
+        found: dict[str, str] = {}
+        for mechanism, entry in self.content.mechanisms.items():
+            key = "joint" if entry.kind == "pair" else "joints"
+            if getattr(entry, "joints" if key == "joint" else "joint") is not None:
+                wrong = "joints" if key == "joint" else "joint"
+                reason = f"mechanism {mechanism!r} of kind {entry.kind} has {key!r}, not {wrong!r}"
+                self.note(("mechanisms", mechanism, wrong), reason)
+            names = joints_of(entry)
+            if not names:
+                reason = f"mechanism {mechanism!r} of kind {entry.kind} has no {key!r}"
+                self.note(("mechanisms", mechanism, key), reason)
+            for name in names:
+                owner = found.setdefault(name, mechanism)
+                if owner != mechanism or names.count(name) > 1:
+                    reason = f"joint {name!r} is in mechanism {owner!r} already; it can be in one"
+                    self.note(("mechanisms", mechanism, key), reason)
+        return found
+
     def _joint(self, name: str, entry: JointEntry) -> Joint | None:
-        merged = _merge(name, self.content.defaults, entry)
-        fields = merged.fields
-        missing = [
-            key for key in _NEEDED if key not in fields and self._is_checked("defaults", key)
-        ]
+        if entry.id is None:
+            reason = "'id' is missing"
+            if self.content.mechanisms:
+                reason += f", and no mechanism moves joint {name!r}; it needs one of both"
+            self.note(("joints", name, "id"), reason)
+            return None
+        merged = _merge(name, ("joints", name), self.content.defaults, entry)
+        if not has_transmission(entry):
+            if entry.servo is not None:
+                reason = (
+                    f"joint {name!r} has neither ratio nor linkage, so its limits are those of its "
+                    f"servo; give them to the joint"
+                )
+                self.note(("joints", name, "servo"), reason)
+            return self.built(merged, entry.id, _escalations(entry.on_fault))
+        return self.bare(merged, _escalations(entry.on_fault))
+
+    def merged(self, name: str, at: Location, entry: JointDefaults) -> _Merged:
+        """Return the fields of an entry with the defaults of the file."""
+        return _merge(name, at, self.content.defaults, entry)
+
+    def escalations(self, entry: JointOnFaultEntry) -> Escalations:
+        """Return the steps of an entry by cause."""
+        return _escalations(entry)
+
+    def _lacks(self, merged: _Merged, keys: Sequence[str]) -> bool:
+        """Note the needed keys that are missing; return whether one is."""
+        missing = [key for key in keys if key not in merged.fields]
         for key in missing:
-            self._note(
-                ("joints", name, key),
-                f"joint {name!r} has no {key!r}; give it here or under 'defaults'",
-            )
+            if self._is_checked("defaults", key):
+                self.note(
+                    (*merged.at, key),
+                    f"joint {merged.name!r} has no {key!r}; give it here or under 'defaults'",
+                )
+        return bool(missing)
+
+    def bare(self, merged: _Merged, on_fault: Escalations) -> Joint | None:
+        """Return a joint behind a transmission: with its own limits, and no servo."""
+        name, fields = merged.name, merged.fields
+        if self._lacks(merged, _NEEDED[1:]):
+            return None
+        for key in MODEL_LIMITS:
+            if fields[key] == SERVO:
+                reason = (
+                    f"joint {name!r} stands behind a ratio, linkage or mechanism, so {key} cannot "
+                    f"be read from a servo; give a number, in degrees of the joint"
+                )
+                self.note(merged.place(key), reason)
+                return None
+        joint = Joint(
+            name=name,
+            servo_id=NO_SERVO,
+            bus="",
+            model=SERVO_MODELS[fields.get("model", next(iter(SERVO_MODELS)))],
+            position_min_deg=fields["range_deg"][0],
+            position_max_deg=fields["range_deg"][1],
+            on_fault=on_fault,
+            lines={key: self.line(place) for key, place in merged.places.items()},
+            **{key: fields[key] for key in _OF_JOINT if key in fields},
+        )
+        if joint.position_min_deg >= joint.position_max_deg:
+            self.note(*next(joint_field_problems(joint, merged.place)))
+            return None
+        return joint
+
+    def built(self, merged: _Merged, servo_id: int, on_fault: Escalations) -> Joint | None:
+        """Return a joint that is its own servo, or a servo of a mechanism."""
+        name, fields = merged.name, merged.fields
+        lacks = self._lacks(merged, _NEEDED)
         bus = self._bus(name, merged)
-        if bus is None or any(key not in fields for key in _NEEDED):
+        if bus is None or lacks:
             return None
         model = SERVO_MODELS[fields["model"]]
         units = self._units
@@ -301,7 +413,7 @@ class _RobotLoader:
         fields |= {key: MODEL_LIMITS[key](model) for key in unread}
         joint = Joint(
             name=name,
-            servo_id=entry.id,
+            servo_id=servo_id,
             bus=bus,
             model=model,
             position_min_deg=fields["range_deg"][0],
@@ -312,28 +424,28 @@ class _RobotLoader:
                 for name, value in fields.get("stored", {}).items()
             },
             response=Response(**fields.get("response", {})),
-            on_fault=_escalations(entry.on_fault),
+            on_fault=on_fault,
             unread=unread,
             lines={key: self.line(place) for key, place in merged.places.items()},
             **{key: fields[key] for key in _PLAIN if key in fields},
         )
         for location, reason in joint_field_problems(joint, merged.place):
-            self._note(location, reason)
+            self.note(location, reason)
         return within_ramps(joint) if joint.drive in ("timed", "auto") else joint
 
     def _check_pulses(
         self, name: str, model: ServoModel, pulse_us: Sequence[int], merged: _Merged
     ) -> None:
         place = merged.place("pulse_us")
-        if model.family is not Family.IO2 and place[0] == "joints":
+        if model.family is not Family.IO2 and place[0] != "defaults":
             reason = f"joint {name!r}: pulse_us is for an RC servo on an LSS-2IO; remove it"
-            self._note(place, reason)
+            self.note(place, reason)
         if pulse_us[0] >= pulse_us[1]:
             reason = (
                 f"joint {name!r}: pulse_us must rise, but goes from {pulse_us[0]} to "
                 f"{pulse_us[1]}; `direction: -1` turns a servo round"
             )
-            self._note(place, reason)
+            self.note(place, reason)
 
     def _bus(self, name: str, merged: _Merged) -> str | None:
         buses = self.content.buses
@@ -342,14 +454,14 @@ class _RobotLoader:
         if "bus" not in merged.fields:
             if len(buses) == 1:
                 return next(iter(buses))
-            self._note(
-                ("joints", name, "bus"),
+            self.note(
+                (*merged.at, "bus"),
                 f"joint {name!r} has no 'bus', and there are several: {', '.join(buses)}",
             )
             return None
         bus = str(merged.fields["bus"])
         if bus not in buses:
-            self._note(merged.place("bus"), f"unknown bus {bus!r}; {known_names(bus, buses)}")
+            self.note(merged.place("bus"), f"unknown bus {bus!r}; {known_names(bus, buses)}")
             return None
         return bus
 
@@ -358,8 +470,8 @@ class _RobotLoader:
         for name, joint in joints.items():
             owner = owners.setdefault((joint.bus, joint.servo_id), name)
             if owner != name:
-                self._note(
-                    ("joints", name, "id"),
+                self.note(
+                    self.id_places.get(name, ("joints", name, "id")),
                     f"joints {owner!r} and {name!r} both have id {joint.servo_id} on bus "
                     f"{joint.bus!r}; every servo of a bus needs its own id",
                 )
@@ -372,7 +484,7 @@ class _RobotLoader:
                 "units are those of LSS-PRO servos, and no joint is one (model LSS-P-…); those of "
                 "the other servos are fixed. Remove `units`"
             )
-            self._note(("units",), reason)
+            self.note(("units",), reason)
 
     def _named(self) -> list[str]:
         """Return the names of all joints, including those that could not be read."""
@@ -390,9 +502,20 @@ class _RobotLoader:
                     place = (key, pose, name)
                     if name not in named:
                         known = known_names(name, named)
-                        self._note(place, f"{word} {pose!r}: unknown joint {name!r}; {known}")
+                        self.note(place, f"{word} {pose!r}: unknown joint {name!r}; {known}")
                     elif name in joints and (reason := joints[name].range_problem(angle_deg)):
-                        self._note(place, f"{word} {pose!r}: {reason}")
+                        self.note(place, f"{word} {pose!r}: {reason}")
+
+
+def has_transmission(entry: JointEntry) -> bool:
+    """Return whether a joint has a servo of its own and something in between."""
+    return entry.ratio is not None or entry.linkage is not None
+
+
+def joints_of(entry: MechanismEntry) -> list[str]:
+    """Return the names of the joints of a mechanism."""
+    named = [entry.joint] if entry.kind == "pair" else entry.joints or []
+    return [name for name in named if name is not None]
 
 
 def _escalations(entry: JointOnFaultEntry) -> Escalations:
@@ -556,82 +679,3 @@ def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Mis
                 elif name in seen:
                     yield Mistake(place, f"joint {name!r} has a mirror image already; keep one")
             seen |= {left, right}
-
-
-def figure_from(
-    entries: Mapping[str, FigureLinkEntry], joints: Collection[str]
-) -> tuple[Figure | None, list[Mistake]]:
-    """Return the figure of the links of a robot file, or their problems."""
-    problems = list(figure_problems(entries, joints))
-    if problems or not entries:
-        return None, problems
-    parents = {name: {entry.parent} - {None} for name, entry in entries.items()}
-    order = [name for name in TopologicalSorter(parents).static_order() if name is not None]
-    links: list[FigureLink] = []
-    ends: list[Vector] = []
-    feet = []
-    for name in order:
-        entry = entries[name]
-        parent = -1 if entry.parent is None else order.index(entry.parent)
-        start = ends[parent] if parent >= 0 else ORIGIN
-        x, y, z = unit_vector(entry.along or "x")
-        end = (entry.length_mm * x, entry.length_mm * y, entry.length_mm * z)
-        ends.append(end)
-        if entry.foot:
-            feet.append((len(links), end))
-        links.append(
-            FigureLink(
-                name=name,
-                parent=parent,
-                joint=entry.joint,
-                rest_deg=entry.rest_deg,
-                axis=unit_vector(entry.axis or "z"),
-                origin_mm=(
-                    start[0] + entry.offset_mm[0],
-                    start[1] + entry.offset_mm[1],
-                    start[2] + entry.offset_mm[2],
-                ),
-                lines_mm=((ORIGIN, end),) if entry.length_mm and not entry.ball_mm else (),
-                width_mm=entry.width_mm,
-                shade=entry.shade,
-                shapes=() if entry.ball_mm is None else (_ball(entry.ball_mm, end, entry.shade),),
-            )
-        )
-    return Figure(source="figure", links=tuple(links), feet=tuple(feet)), []
-
-
-def _ball(ball_mm: Sequence[float], end: Vector, shade: Shade | None) -> Shape:
-    """Return a ball in the middle of a link that ends there."""
-    x, y, z = ball_mm
-    middle = (end[0] / 2.0, end[1] / 2.0, end[2] / 2.0)
-    half_axes = (x / 2.0, y / 2.0, z / 2.0)
-    return Shape(kind="ball", size_mm=half_axes, origin_mm=middle, shade=shade)
-
-
-def figure_problems(
-    entries: Mapping[str, FigureLinkEntry], joints: Collection[str]
-) -> Iterator[Mistake]:
-    for name, entry in entries.items():
-        place = ("figure", name)
-        if entry.parent is not None and entry.parent not in entries:
-            reason = f"link {name!r}: unknown parent {entry.parent!r}"
-            yield Mistake((*place, "parent"), f"{reason}; {known_names(entry.parent, entries)}")
-        if entry.joint is not None and entry.joint not in joints:
-            known = known_names(entry.joint, joints)
-            yield Mistake(
-                (*place, "joint"), f"link {name!r}: unknown joint {entry.joint!r}; {known}"
-            )
-        if entry.joint is not None and entry.axis is None:
-            reason = f"link {name!r} has a joint and no 'axis', about which that turns it: y, …"
-            yield Mistake((*place, "axis"), reason)
-        if entry.joint is None and (given := {"axis", "rest_deg"} & entry.given):
-            key = min(given)
-            reason = f"link {name!r} has no 'joint', so {key!r} has no meaning; remove it"
-            yield Mistake((*place, key), reason)
-    parents = {name: {entry.parent} for name, entry in entries.items() if entry.parent}
-    try:
-        TopologicalSorter(parents).prepare()
-    except CycleError as error:
-        cycle = error.args[1][::-1]
-        reason = f"links are parents of each other: {' → '.join(cycle)}; one must stand alone"
-        yield Mistake(("figure", cycle[0], "parent"), reason)

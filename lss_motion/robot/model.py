@@ -10,9 +10,10 @@ import math
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import ClassVar, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import Located
@@ -22,6 +23,9 @@ from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, UNITS, Units
 from lss_motion.robot.figure import Figure
 from lss_motion.robot.on_fault import DEFAULTS, Cause, Escalations, FaultStep
+
+if TYPE_CHECKING:
+    from lss_motion.robot.transmission import Mechanism
 
 FOLLOWING_DEG: Final = 10.0
 """Chosen: ten times the position error of a healthy joint, and small enough to avoid collisions."""
@@ -41,6 +45,9 @@ PATIENCE_S: Final = 3.0
 """Chosen: at a tenth of the speed a joint catches up with a heavy move in this time."""
 RESUME_S: Final = 10.0
 """Chosen: time to push a plug back in. Later, a person may have reached into the robot."""
+
+NO_SERVO: Final = -1
+"""The servo id of a joint without a servo of its own: a mechanism moves it."""
 
 SERVO: Final = "servo"
 """In place of a limit in a robot file: the limit that is set in the servo."""
@@ -279,6 +286,10 @@ class Robot(Struct, frozen=True, kw_only=True):
     path: Path | None
     buses: Mapping[str, Bus]
     joints: Mapping[str, Joint]
+    mechanisms: Mapping[str, Mechanism] = field(default_factory=dict)
+    """What stands between joints and servos, by name; joints in none of them are their servos."""
+    servos: Mapping[str, Joint] = field(default_factory=dict)
+    """The servos of a robot with mechanisms, as joints in degrees of an ideal servo; else empty."""
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     visemes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Mouth shapes by name, for lip-sync files."""
@@ -312,6 +323,29 @@ class Robot(Struct, frozen=True, kw_only=True):
         """Return one line: name and counts."""
         counts = f"{counted(self.joints, 'joint')}, {counted(self.buses, 'bus', 'buses')}"
         return f"Robot({self.name!r}, {counts}, {counted(self.poses, 'pose')})"
+
+    @property
+    def servo_robot(self) -> Robot:
+        """The robot whose joints are the servos of this one; itself where there is no mechanism.
+
+        Bytes, ports and everything that asks servos know only servos. Its mechanisms stay known:
+        they say which servos move together.
+        """
+        if not self.servos:
+            return self
+        return replace(
+            self, joints=self.servos, servos={}, poses={}, visemes={}, groups={}, mirror={}
+        )
+
+    def require_servos(self, what: str = "this command") -> None:
+        """Raise `InputError` if joints are not servos, for `what`, which knows servos only."""
+        if self.servos:
+            raise InputError(
+                f"robot {self.name!r} has joints behind a ratio, a linkage or a mechanism "
+                f"({', '.join(self.mechanisms)}), with which {what} cannot work yet; nothing was "
+                f"sent to a servo",
+                path=self.path,
+            )
 
     @property
     def unread(self) -> list[Joint]:

@@ -18,7 +18,8 @@ from lss_motion.files.keys import (
     Text,
     Version,
 )
-from lss_motion.robot.file import AngleDeg, OnFaultEntry
+from lss_motion.robot.file import OnFaultEntry
+from lss_motion.robot.linkage_file import AngleDeg  # noqa: TC001  (read when it is checked)
 from lss_motion.show.model import KEYFRAMES_MAX, PLAY_STEPS_MAX, TIME_MAX_S
 
 TIME_MIN_S: Final = 0.001

@@ -74,6 +74,7 @@ def compile_program(
     joints fewer readings than the bus requires, and `InputError` if a joint of the trajectory is
     not one of the robot's.
     """
+    robot.require_servos("compiling")
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
     trajectory, repeat = _written(trajectory)

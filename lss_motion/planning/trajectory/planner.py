@@ -34,6 +34,7 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
 
 def _check_limits(robot: Robot) -> None:
     """Raise `InputError` where a limit was not read from the servo, or its turn is unknown."""
+    robot.require_servos("planning")
     robot.require_turns(robot.joints.values())
     for joint in robot.unread:
         raise InputError(

@@ -18,7 +18,7 @@ from lss_motion.files.keys import (
     Text,
     Version,
 )
-from lss_motion.robot.file import AngleDeg  # noqa: TC001  (read when it is checked)
+from lss_motion.robot.linkage_file import AngleDeg  # noqa: TC001  (read when it is checked)
 from lss_motion.show.file import Loop, TimeS  # noqa: TC001  (read when they are checked)
 from lss_motion.show.gait.model import PATTERNS, LegKind
 from lss_motion.show.model import TIME_MAX_S

@@ -1,0 +1,327 @@
+"""What stands between joints and servos: gears, linkages, differentials, pairs.
+
+The law: `servo_deg = zero_deg + direction * g(joint_deg)`. A transmission is g and its derivatives,
+in degrees of an ideal servo, which has zero 0 and direction 1, and its inverse. A `Mechanism` has
+one, with the names of its joints and of its servos.
+
+`Linear` is a matrix: a gear, a pair, a differential. `Curve` is a smooth curve of one joint: a
+measured table or a four-bar, of which `four_bar` computes the points. `Grid` is a measured surface
+of two joints. Curves and surfaces have continuous second derivatives, so that the acceleration of a
+servo does not jump where the joint's does not. Outside of what was measured they go on straight.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+
+import numpy as np
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
+
+SLOPE_MIN: Final = 0.02
+"""Servo degrees per joint degree below which a transmission counts as singular. Chosen: one unit of
+an LSS, 0.1 deg, is then 5 deg of the joint."""
+STEP_DEG: Final = 0.1
+"""Step in which a four-bar is computed. Chosen: the cubics between are then exact to 1e-9 deg."""
+POINTS_MIN: Final = 64
+GRID_CHECKS: Final = 41
+"""Places along each joint at which a measured surface is examined."""
+NEWTON_STEPS: Final = 12
+"""Measured over random surfaces: at most 6 were needed for 1e-9 deg."""
+SMOOTH_POINTS_MIN: Final = 5
+"""What a smoothing spline needs."""
+
+MechanismKind = Literal["ratio", "linkage", "differential", "pair", "table"]
+
+
+class Transmission(Protocol):
+    """g of a mechanism with J joints and S servos, at n places at once."""
+
+    def servo_deg(self, joint_deg: FloatArray) -> FloatArray:
+        """Return the angles of ideal servos, (n, S), of joint angles, (n, J)."""
+        ...
+
+    def slopes(self, joint_deg: FloatArray) -> FloatArray:
+        """Return the derivative of each servo with respect to each joint, (n, S, J)."""
+        ...
+
+    def bends(self, joint_deg: FloatArray, first: FloatArray) -> FloatArray:
+        """Return the second derivative of each servo, (n, S), along joint speeds `first`, (n, J).
+
+        It is what the speed of the joints adds to the acceleration of the servos.
+        """
+        ...
+
+    def joint_deg(self, servo_deg: FloatArray) -> FloatArray:
+        """Return the joint angles, (n, J), that fit the angles of ideal servos best, (n, S)."""
+        ...
+
+
+class Linear(Struct, frozen=True):
+    """A matrix: the servos are rows, the joints columns."""
+
+    matrix: tuple[tuple[float, ...], ...]
+
+    def servo_deg(self, joint_deg: FloatArray) -> FloatArray:
+        return np.asarray(joint_deg @ np.array(self.matrix).T)
+
+    def slopes(self, joint_deg: FloatArray) -> FloatArray:
+        matrix = np.array(self.matrix)
+        return np.broadcast_to(matrix, (len(joint_deg), *matrix.shape))
+
+    def bends(self, joint_deg: FloatArray, first: FloatArray) -> FloatArray:
+        return np.zeros((*np.broadcast_shapes(joint_deg.shape, first.shape)[:1], len(self.matrix)))
+
+    def joint_deg(self, servo_deg: FloatArray) -> FloatArray:
+        return np.asarray(servo_deg @ np.linalg.pinv(np.array(self.matrix)).T)
+
+
+class Curve(Struct, frozen=True, dict=True):
+    """A cubic spline through points of one joint and one servo; both rise or fall all the way."""
+
+    joint_points_deg: tuple[float, ...]
+    servo_points_deg: tuple[float, ...]
+
+    @cached_property
+    def _spline(self) -> Any:  # noqa: ANN401  scipy is untyped
+        from scipy.interpolate import CubicSpline
+
+        return CubicSpline(self.joint_points_deg, self.servo_points_deg)
+
+    @cached_property
+    def _fine(self) -> tuple[FloatArray, FloatArray]:
+        """Joint angles in small steps, with the servo rising, for a first guess of the inverse."""
+        low, high = self.joint_points_deg[0], self.joint_points_deg[-1]
+        joint_deg = np.linspace(low, high, max(POINTS_MIN, 8 * len(self.joint_points_deg)))
+        servo_deg = self._spline(joint_deg)
+        return (
+            (joint_deg, servo_deg)
+            if servo_deg[-1] > servo_deg[0]
+            else (
+                joint_deg[::-1],
+                servo_deg[::-1],
+            )
+        )
+
+    def _inside(self, joint_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nearest angles of the curve, and how far outside of it the given ones are."""
+        inside = np.clip(joint_deg, self.joint_points_deg[0], self.joint_points_deg[-1])
+        return inside, joint_deg - inside
+
+    def servo_deg(self, joint_deg: FloatArray) -> FloatArray:
+        inside, over_deg = self._inside(joint_deg)
+        return np.asarray(self._spline(inside) + self._spline(inside, 1) * over_deg)
+
+    def slopes(self, joint_deg: FloatArray) -> FloatArray:
+        return np.asarray(self._spline(self._inside(joint_deg)[0], 1))[:, :, None]
+
+    def bends(self, joint_deg: FloatArray, first: FloatArray) -> FloatArray:
+        inside, over_deg = self._inside(joint_deg)
+        return np.where(over_deg == 0.0, self._spline(inside, 2) * first**2, 0.0)
+
+    def joint_deg(self, servo_deg: FloatArray) -> FloatArray:
+        joint_deg, rising_deg = self._fine
+        found = np.interp(servo_deg, rising_deg, joint_deg)
+        for _ in range(NEWTON_STEPS):
+            found = found - (self.servo_deg(found) - servo_deg) / self.slopes(found)[:, :, 0]
+        return np.asarray(found)
+
+    def turn_deg(self) -> float | None:
+        """Return the joint angle where the curve turns or becomes flat; None: nowhere."""
+        joint_deg, _ = self._fine
+        slopes = self._spline(joint_deg, 1)
+        is_flat = np.abs(slopes) < SLOPE_MIN
+        is_flat |= np.sign(slopes) != np.sign(slopes[np.abs(slopes).argmax()])
+        return float(np.sort(joint_deg[is_flat])[0]) if is_flat.any() else None
+
+    def steepest(self, from_deg: float, to_deg: float) -> tuple[float, float, float]:
+        """Return the largest |g'| and |g''| in a range, and where the latter is."""
+        joint_deg = np.linspace(from_deg, to_deg, max(POINTS_MIN, 8 * len(self.joint_points_deg)))
+        bends = np.abs(self._spline(joint_deg, 2))
+        most = int(bends.argmax())
+        slope = float(np.abs(self._spline(joint_deg, 1)).max())
+        return slope, float(bends[most]), float(joint_deg[most])
+
+
+class Grid(Struct, frozen=True, dict=True):
+    """A bicubic spline through a measured grid of two joints; `servos_deg[s][a][b]`."""
+
+    first_deg: tuple[float, ...]
+    second_deg: tuple[float, ...]
+    servos_deg: tuple[tuple[tuple[float, ...], ...], ...]
+
+    @cached_property
+    def _splines(self) -> list[Any]:
+        from scipy.interpolate import RectBivariateSpline
+
+        return [
+            RectBivariateSpline(self.first_deg, self.second_deg, np.array(own), s=0)
+            for own in self.servos_deg
+        ]
+
+    def _inside(self, joint_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        low = np.array([self.first_deg[0], self.second_deg[0]])
+        inside = np.clip(joint_deg, low, np.array([self.first_deg[-1], self.second_deg[-1]]))
+        return inside, joint_deg - inside
+
+    def _at(self, inside: FloatArray, first: int, second: int) -> FloatArray:
+        a, b = inside.T
+        return np.stack([own.ev(a, b, dx=first, dy=second) for own in self._splines], axis=1)
+
+    def servo_deg(self, joint_deg: FloatArray) -> FloatArray:
+        inside, over_deg = self._inside(joint_deg)
+        slopes = self.slopes(joint_deg)
+        return np.asarray(self._at(inside, 0, 0) + np.einsum("nsj,nj->ns", slopes, over_deg))
+
+    def slopes(self, joint_deg: FloatArray) -> FloatArray:
+        inside, _ = self._inside(joint_deg)
+        return np.stack([self._at(inside, 1, 0), self._at(inside, 0, 1)], axis=2)
+
+    def bends(self, joint_deg: FloatArray, first: FloatArray) -> FloatArray:
+        inside, over_deg = self._inside(joint_deg)
+        a, b = np.where(over_deg == 0.0, first, 0.0).T
+        square, mixed = self._at(inside, 2, 0), self._at(inside, 1, 1)
+        value = square * (a**2)[:, None] + 2.0 * mixed * (a * b)[:, None]
+        return np.asarray(value + self._at(inside, 0, 2) * (b**2)[:, None])
+
+    def joint_deg(self, servo_deg: FloatArray) -> FloatArray:
+        places = self._places()
+        known = self.servo_deg(places)
+        nearest = ((servo_deg[:, None, :] - known[None]) ** 2).sum(axis=2).argmin(axis=1)
+        found = places[nearest]
+        for _ in range(NEWTON_STEPS):
+            missing = servo_deg - self.servo_deg(found)
+            found = found + np.einsum("njs,ns->nj", np.linalg.pinv(self.slopes(found)), missing)
+        return np.asarray(found)
+
+    def _places(self, count: int = 9) -> FloatArray:
+        a = np.linspace(self.first_deg[0], self.first_deg[-1], count)
+        b = np.linspace(self.second_deg[0], self.second_deg[-1], count)
+        return np.array(list(itertools.product(a, b)))
+
+    def turn_deg(self) -> tuple[float, float] | None:
+        """Return a place where the joints can no longer be told from the servos; None: nowhere."""
+        places = self._places(GRID_CHECKS)
+        slopes = self.slopes(places)
+        weakest = np.linalg.svd(slopes, compute_uv=False)[:, -1]
+        is_bad = weakest < SLOPE_MIN
+        if slopes.shape[1] == slopes.shape[2]:
+            signs = np.sign(np.linalg.det(slopes))
+            is_bad |= signs != signs[len(signs) // 2]
+        if not is_bad.any():
+            return None
+        a, b = places[int(np.argmax(is_bad))].tolist()
+        return a, b
+
+
+class Mechanism(Struct, frozen=True, kw_only=True):
+    """Joints and the servos that move them. A gear or a linkage of a joint has the joint's name."""
+
+    name: str
+    kind: MechanismKind
+    joints: tuple[str, ...]
+    servos: tuple[str, ...]
+    """Names of `Robot.servos`: `neck.left`, or that of the joint where it has one servo."""
+    transmission: Linear | Curve | Grid
+    moved_deg: tuple[tuple[float, float, float], ...] = ()
+    """By `smooth_deg`: joint angle, measured and used servo angle of each point."""
+
+    @property
+    def is_scaled(self) -> bool:
+        """One joint with fixed ratios: its limits are those of its servos, divided by them."""
+        return isinstance(self.transmission, Linear) and len(self.joints) == 1
+
+    @property
+    def is_redundant(self) -> bool:
+        """More servos than joints: they can work against each other."""
+        return len(self.servos) > len(self.joints)
+
+    def fight_deg(self, servo_deg: FloatArray) -> FloatArray:
+        """Return by how much ideal servos, (n, S), are apart from what their joints allow, (n,)."""
+        fitting = self.transmission.servo_deg(self.transmission.joint_deg(servo_deg))
+        off = servo_deg - fitting
+        return np.asarray(off.max(axis=1) - off.min(axis=1))
+
+    def servo_label(self, servo: str) -> str:
+        """Return the servo as a person calls it: `left servo of neck`."""
+        short = servo.removeprefix(f"{self.name}.")
+        return f"servo of {self.name}" if short == servo else f"{short} servo of {self.name}"
+
+
+class FourBar(Struct, frozen=True, kw_only=True):
+    """Lengths of a four-bar linkage in mm, and how it is put together.
+
+    The base is the line from the axis of the servo to that of the joint. At joint angle 0 the
+    rocker leans `offset_deg` from the perpendicular of the base, away from the servo. Larger joint
+    angles turn it towards the servo, or `away`. `is_crossed`: the rod crosses the base.
+    """
+
+    crank_mm: float
+    rod_mm: float
+    rocker_mm: float
+    base_mm: float
+    offset_deg: float = 0.0
+    is_away: bool = False
+    is_crossed: bool = False
+
+    def crank_deg(self, joint_deg: FloatArray) -> FloatArray:
+        """Return the angle of the crank from the base; NaN where the linkage cannot close."""
+        sign = -1.0 if self.is_away else 1.0
+        rocker = np.radians(90.0 - self.offset_deg + sign * joint_deg)
+        x = self.base_mm + self.rocker_mm * np.cos(rocker)
+        y = self.rocker_mm * np.sin(rocker)
+        reach = np.hypot(x, y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (self.crank_mm**2 + reach**2 - self.rod_mm**2) / (2.0 * self.crank_mm * reach)
+            between = np.where(np.abs(share) <= 1.0, np.arccos(share), math.nan)
+        turned = np.arctan2(y, x) + (-between if self.is_crossed else between)
+        return np.degrees(np.unwrap(turned)) if np.isfinite(turned).all() else np.degrees(turned)
+
+    def curve(self, low_deg: float, high_deg: float) -> Curve:
+        """Return the servo over the joint, 0 at joint angle 0 or at the nearest one of the range.
+
+        Raises `ValueError` with the joint angle where the linkage cannot close or turns.
+        """
+        steps = max(POINTS_MIN, math.ceil((high_deg - low_deg) / STEP_DEG))
+        joint_deg = np.linspace(low_deg, high_deg, steps + 1)
+        crank_deg = self.crank_deg(joint_deg)
+        if np.isnan(crank_deg).any():
+            at_deg = float(joint_deg[int(np.argmax(np.isnan(crank_deg)))])
+            raise ValueError(f"cannot close at {at_deg:.1f} deg")
+        slopes = np.diff(crank_deg) / np.diff(joint_deg)
+        is_bad = (np.abs(slopes) < SLOPE_MIN) | (np.sign(slopes) != np.sign(slopes[0]))
+        # Near a dead point the rocker stands while the crank turns: the servo races.
+        is_bad |= np.abs(slopes) > 1.0 / SLOPE_MIN
+        if is_bad.any():
+            at_deg = float(joint_deg[int(np.argmax(is_bad))])
+            raise ValueError(f"is at a dead point at {at_deg:.1f} deg")
+        zero_deg = np.interp(min(max(0.0, low_deg), high_deg), joint_deg, crank_deg)
+        return Curve(tuple(joint_deg.tolist()), tuple((crank_deg - zero_deg).tolist()))
+
+
+def smoothed(
+    joint_deg: Sequence[float], servo_deg: Sequence[float], most_deg: float
+) -> tuple[float, ...]:
+    """Return the servo angles of a table on the smoothest curve that stays within `most_deg`."""
+    from scipy.interpolate import make_smoothing_spline
+
+    x, y = np.array(joint_deg), np.array(servo_deg)
+    low, high = -12.0, 12.0
+    best = y
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        found = make_smoothing_spline(x, y, lam=10.0**middle)(x)
+        if np.abs(found - y).max() <= most_deg:
+            low, best = middle, found
+        else:
+            high = middle
+    return tuple(np.round(best, 6).tolist())
