@@ -21,10 +21,10 @@ from lss_motion.robot.transmission import (
     POINTS_MIN,
     SLOPE_MIN,
     SMOOTH_POINTS_MIN,
-    Curve,
     FourBar,
     Grid,
     Linear,
+    LinkageCurve,
     Mechanism,
     smoothed,
 )
@@ -65,7 +65,7 @@ LIMIT_PLACES: Final = 21
 
 def joint_transmission(
     entry: JointEntry, range_deg: Sequence[float], note: Note
-) -> tuple[Linear | Curve | None, tuple[tuple[float, float, float], ...]]:
+) -> tuple[Linear | LinkageCurve | None, tuple[tuple[float, float, float], ...]]:
     """Return the ratio or linkage of a joint (None: it is wrong), and the points it has moved."""
     if entry.linkage is None:
         return Linear(((float(entry.ratio or 1.0),),)), ()
@@ -94,7 +94,7 @@ def _has_only(linkage: LinkageEntry, needed: Iterable[str], others: Iterable[str
     return not missing and not wrong
 
 
-def _four_bar(linkage: LinkageEntry, range_deg: Sequence[float], note: Note) -> Curve | None:
+def _four_bar(linkage: LinkageEntry, range_deg: Sequence[float], note: Note) -> LinkageCurve | None:
     if not _has_only(linkage, _LENGTHS, _OF_TABLE, note):
         return None
     bar = FourBar(
@@ -119,7 +119,7 @@ def _four_bar(linkage: LinkageEntry, range_deg: Sequence[float], note: Note) -> 
 
 def _table(
     linkage: LinkageEntry, range_deg: Sequence[float], note: Note
-) -> tuple[Curve | None, tuple[tuple[float, float, float], ...]]:
+) -> tuple[LinkageCurve | None, tuple[tuple[float, float, float], ...]]:
     if not _has_only(linkage, ("joint_deg", "servo_deg"), _OF_FOUR_BAR, note):
         return None, ()
     joint_deg, servo_deg = linkage.joint_deg or [], linkage.servo_deg or []
@@ -137,7 +137,7 @@ def _table(
             return None, ()
         used = smoothed(joint_deg, servo_deg, linkage.smooth_deg)
         moved = tuple(zip(map(float, joint_deg), map(float, servo_deg), used, strict=True))
-    curve = Curve(tuple(map(float, joint_deg)), used)
+    curve = LinkageCurve(tuple(map(float, joint_deg)), used)
     if (turn_deg := curve.turn_deg()) is not None:
         note(("linkage", "servo_deg"), _turn_text(joint_deg, servo_deg, turn_deg))
         return None, ()
@@ -210,7 +210,7 @@ def _offer(
         return None
     span_deg = abs(servo_deg[-1] - servo_deg[0])
     for smooth_deg in (offer for offer in OFFERS_DEG if offer <= NOISE_RATIO * span_deg):
-        curve = Curve(tuple(joint_deg), smoothed(joint_deg, servo_deg, smooth_deg))
+        curve = LinkageCurve(tuple(joint_deg), smoothed(joint_deg, servo_deg, smooth_deg))
         if curve.turn_deg() is not None:
             continue
         needed = curve.steepest(joint_deg[0], joint_deg[-1])[1] * speed_deg_s**2
@@ -222,7 +222,7 @@ def _offer(
 def unevenness(mechanism: Mechanism, joint: Joint, servo: Joint) -> str:
     """Return how much of the servo's acceleration noise in a table takes; empty: little."""
     curve = mechanism.transmission
-    if not isinstance(curve, Curve) or len(curve.joint_points_deg) >= POINTS_MIN:
+    if not isinstance(curve, LinkageCurve) or len(curve.joint_points_deg) >= POINTS_MIN:
         return ""
     slope, bend, at_deg = curve.steepest(joint.position_min_deg, joint.position_max_deg)
     speed = min(joint.speed_max_deg_s, servo.speed_max_deg_s / slope)

@@ -1,7 +1,7 @@
 """Joints behind transmissions, and their servos: from the entries of a robot file to values.
 
 A servo of a mechanism is built as a joint of a file without mechanisms is, in degrees of an ideal
-servo. What it needs and nobody limits is what its joints need at their own limits.
+servo. Where no limit is given, it is what its joints need at their own limits.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ LOST: Final = (
 REACH_SLACK_DEG: Final = 1e-6
 
 
-class Merged(Protocol):
+class MergedFields(Protocol):
     """The fields of an entry and their places; see `robot.load`."""
 
     fields: dict[str, Any]
@@ -62,7 +62,7 @@ class Merged(Protocol):
     def put(self, key: str, value: object, place: Location) -> None: ...
 
 
-class Builder(Protocol):
+class JointBuilder(Protocol):
     """What builds joints of entries and notes problems; see `robot.load`."""
 
     content: RobotFile
@@ -87,7 +87,7 @@ class Builder(Protocol):
 class ServoLoader:
     """Joints, servos and mechanisms of a robot file; problems go to its builder."""
 
-    def __init__(self, builder: Builder, joints: Mapping[str, Joint], folder: Path) -> None:
+    def __init__(self, builder: JointBuilder, joints: Mapping[str, Joint], folder: Path) -> None:
         """Build what is behind transmissions; `joints` has all joints with an id of their own."""
         self._builder, self._folder = builder, folder
         self.joints: dict[str, Joint] = dict(joints)
@@ -286,7 +286,7 @@ class ServoLoader:
     def _may_reach(
         self,
         name: str,
-        merged: Merged,
+        merged: MergedFields,
         reach: tuple[float, float],
         mechanism: Mechanism,
     ) -> bool:

@@ -4,10 +4,10 @@ The law: `servo_deg = zero_deg + direction * g(joint_deg)`. A transmission is g 
 in degrees of an ideal servo, which has zero 0 and direction 1, and its inverse. A `Mechanism` has
 one, with the names of its joints and of its servos.
 
-`Linear` is a matrix: a gear, a pair, a differential. `Curve` is a smooth curve of one joint: a
-measured table or a four-bar, of which `four_bar` computes the points. `Grid` is a measured surface
-of two joints. Curves and surfaces have continuous second derivatives, so that the acceleration of a
-servo does not jump where the joint's does not. Outside of what was measured they go on straight.
+`Linear` is a matrix: a gear, a pair, a differential. `LinkageCurve` is a smooth curve of one joint:
+a measured table, or a four-bar (`FourBar.curve`). `Grid` is a measured surface of two joints. Both
+have continuous second derivatives, so that the acceleration of a servo does not jump where that of
+the joint does not. Outside of what was measured they go on straight.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Linear(Struct, frozen=True):
         return np.asarray(servo_deg @ np.linalg.pinv(np.array(self.matrix)).T)
 
 
-class Curve(Struct, frozen=True, dict=True):
+class LinkageCurve(Struct, frozen=True, dict=True):
     """A cubic spline through points of one joint and one servo; both rise or fall all the way."""
 
     joint_points_deg: tuple[float, ...]
@@ -231,7 +231,7 @@ class Mechanism(Struct, frozen=True, kw_only=True):
     joints: tuple[str, ...]
     servos: tuple[str, ...]
     """Names of `Robot.servos`: `neck.left`, or that of the joint where it has one servo."""
-    transmission: Linear | Curve | Grid
+    transmission: Linear | LinkageCurve | Grid
     moved_deg: tuple[tuple[float, float, float], ...] = ()
     """By `smooth_deg`: joint angle, measured and used servo angle of each point."""
 
@@ -286,7 +286,7 @@ class FourBar(Struct, frozen=True, kw_only=True):
         turned = np.arctan2(y, x) + (-between if self.is_crossed else between)
         return np.degrees(np.unwrap(turned)) if np.isfinite(turned).all() else np.degrees(turned)
 
-    def curve(self, low_deg: float, high_deg: float) -> Curve:
+    def curve(self, low_deg: float, high_deg: float) -> LinkageCurve:
         """Return the servo over the joint, 0 at joint angle 0 or at the nearest one of the range.
 
         Raises `ValueError` with the joint angle where the linkage cannot close or turns.
@@ -305,7 +305,7 @@ class FourBar(Struct, frozen=True, kw_only=True):
             at_deg = float(joint_deg[int(np.argmax(is_bad))])
             raise ValueError(f"is at a dead point at {at_deg:.1f} deg")
         zero_deg = np.interp(min(max(0.0, low_deg), high_deg), joint_deg, crank_deg)
-        return Curve(tuple(joint_deg.tolist()), tuple((crank_deg - zero_deg).tolist()))
+        return LinkageCurve(tuple(joint_deg.tolist()), tuple((crank_deg - zero_deg).tolist()))
 
 
 def smoothed(

@@ -11,7 +11,7 @@ from lss_motion.errors import InputError
 from lss_motion.planning.summaries import robot_lines
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import NO_SERVO
-from lss_motion.robot.transmission import Curve, FourBar, Grid, Linear
+from lss_motion.robot.transmission import FourBar, Grid, Linear, LinkageCurve
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -117,7 +117,7 @@ def test_a_four_bar_closes_where_it_says() -> None:
 
 
 def test_outside_of_what_was_measured_a_curve_goes_on_straight() -> None:
-    curve = Curve((0.0, 5.0, 12.0, 22.0), (-8.0, 6.0, 30.0, 71.0))
+    curve = LinkageCurve((0.0, 5.0, 12.0, 22.0), (-8.0, 6.0, 30.0, 71.0))
     far = curve.servo_deg(np.array([[22.0], [24.0], [26.0]]))[:, 0]
     assert far[2] - far[1] == pytest.approx(far[1] - far[0])
     assert curve.joint_deg(far[2:, None])[0, 0] == pytest.approx(26.0)
