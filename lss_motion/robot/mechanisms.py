@@ -25,7 +25,6 @@ from lss_motion.robot.transmission import (
     Grid,
     Linear,
     LinkageCurve,
-    Mechanism,
     smoothed,
 )
 
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.file import JointEntry, MechanismEntry
     from lss_motion.robot.linkage_file import LinkageEntry
+    from lss_motion.robot.mechanism import Mechanism
     from lss_motion.robot.model import Joint
 
     FloatArray = NDArray[np.float64]

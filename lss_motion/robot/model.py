@@ -10,7 +10,7 @@ import math
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -22,10 +22,8 @@ from lss_motion.protocol.codec import Language
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, UNITS, Units
 from lss_motion.robot.figure import Figure
+from lss_motion.robot.mechanism import Mechanism
 from lss_motion.robot.on_fault import DEFAULTS, Cause, Escalations, FaultStep
-
-if TYPE_CHECKING:
-    from lss_motion.robot.transmission import Mechanism
 
 FOLLOWING_DEG: Final = 10.0
 """Chosen: ten times the position error of a healthy joint, and small enough to avoid collisions."""

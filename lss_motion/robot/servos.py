@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from msgspec.structs import replace
 
 from lss_motion.files.texts import counted, known_names
+from lss_motion.robot.mechanism import Mechanism
 from lss_motion.robot.mechanisms import (
     joint_transmission,
     mechanism_transmission,
@@ -23,7 +24,6 @@ from lss_motion.robot.mechanisms import (
 from lss_motion.robot.model import NO_SERVO
 from lss_motion.robot.on_fault import DEFAULTS, Cause, FaultStep
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.robot.transmission import Mechanism
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from lss_motion.files.yaml_source import Location
     from lss_motion.robot.file import JointDefaults, JointEntry, MechanismEntry, RobotFile
+    from lss_motion.robot.mechanism import MechanismKind
     from lss_motion.robot.model import Joint
     from lss_motion.robot.on_fault import Escalations
-    from lss_motion.robot.transmission import MechanismKind
 
 JOINT_KEYS: Final = ("jerk_max_deg_s3", "following_deg", "goal_tolerance_deg", "goal_time_s")
 """Keys of a joint that a servo of a mechanism cannot have."""

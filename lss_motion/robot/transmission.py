@@ -1,8 +1,4 @@
-"""What stands between joints and servos: gears, linkages, differentials, pairs.
-
-The law: `servo_deg = zero_deg + direction * g(joint_deg)`. A transmission is g and its derivatives,
-in degrees of an ideal servo, which has zero 0 and direction 1, and its inverse. A `Mechanism` has
-one, with the names of its joints and of its servos.
+"""The transmissions of mechanisms (`robot.mechanism`): matrices, curves, surfaces.
 
 `Linear` is a matrix: a gear, a pair, a differential. `LinkageCurve` is a smooth curve of one joint:
 a measured table, or a four-bar (`FourBar.curve`). `Grid` is a measured surface of two joints. Both
@@ -15,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
@@ -40,36 +36,15 @@ NEWTON_STEPS: Final = 12
 SMOOTH_POINTS_MIN: Final = 5
 """What a smoothing spline needs."""
 
-MechanismKind = Literal["ratio", "linkage", "differential", "pair", "table"]
-
-
-class Transmission(Protocol):
-    """g of a mechanism with J joints and S servos, at n places at once."""
-
-    def servo_deg(self, joint_deg: FloatArray) -> FloatArray:
-        """Return the angles of ideal servos, (n, S), of joint angles, (n, J)."""
-        ...
-
-    def slopes(self, joint_deg: FloatArray) -> FloatArray:
-        """Return the derivative of each servo with respect to each joint, (n, S, J)."""
-        ...
-
-    def bends(self, joint_deg: FloatArray, first: FloatArray) -> FloatArray:
-        """Return the second derivative of each servo, (n, S), along joint speeds `first`, (n, J).
-
-        It is what the speed of the joints adds to the acceleration of the servos.
-        """
-        ...
-
-    def joint_deg(self, servo_deg: FloatArray) -> FloatArray:
-        """Return the joint angles, (n, J), that fit the angles of ideal servos best, (n, S)."""
-        ...
-
 
 class Linear(Struct, frozen=True):
     """A matrix: the servos are rows, the joints columns."""
 
     matrix: tuple[tuple[float, ...], ...]
+
+    @property
+    def is_constant(self) -> bool:
+        return True
 
     def servo_deg(self, joint_deg: FloatArray) -> FloatArray:
         return np.asarray(joint_deg @ np.array(self.matrix).T)
@@ -90,6 +65,10 @@ class LinkageCurve(Struct, frozen=True, dict=True):
 
     joint_points_deg: tuple[float, ...]
     servo_points_deg: tuple[float, ...]
+
+    @property
+    def is_constant(self) -> bool:
+        return False
 
     @cached_property
     def _spline(self) -> Any:  # noqa: ANN401  scipy is untyped
@@ -159,6 +138,10 @@ class Grid(Struct, frozen=True, dict=True):
     second_deg: tuple[float, ...]
     servos_deg: tuple[tuple[tuple[float, ...], ...], ...]
 
+    @property
+    def is_constant(self) -> bool:
+        return False
+
     @cached_property
     def _splines(self) -> list[Any]:
         from scipy.interpolate import RectBivariateSpline
@@ -221,40 +204,6 @@ class Grid(Struct, frozen=True, dict=True):
             return None
         a, b = places[int(np.argmax(is_bad))].tolist()
         return a, b
-
-
-class Mechanism(Struct, frozen=True, kw_only=True):
-    """Joints and the servos that move them. A gear or a linkage of a joint has the joint's name."""
-
-    name: str
-    kind: MechanismKind
-    joints: tuple[str, ...]
-    servos: tuple[str, ...]
-    """Names of `Robot.servos`: `neck.left`, or that of the joint where it has one servo."""
-    transmission: Linear | LinkageCurve | Grid
-    moved_deg: tuple[tuple[float, float, float], ...] = ()
-    """By `smooth_deg`: joint angle, measured and used servo angle of each point."""
-
-    @property
-    def is_scaled(self) -> bool:
-        """One joint with fixed ratios: its limits are those of its servos, divided by them."""
-        return isinstance(self.transmission, Linear) and len(self.joints) == 1
-
-    @property
-    def is_redundant(self) -> bool:
-        """More servos than joints: they can work against each other."""
-        return len(self.servos) > len(self.joints)
-
-    def fight_deg(self, servo_deg: FloatArray) -> FloatArray:
-        """Return by how much ideal servos, (n, S), are apart from what their joints allow, (n,)."""
-        fitting = self.transmission.servo_deg(self.transmission.joint_deg(servo_deg))
-        off = servo_deg - fitting
-        return np.asarray(off.max(axis=1) - off.min(axis=1))
-
-    def servo_label(self, servo: str) -> str:
-        """Return the servo as a person calls it: `left servo of neck`."""
-        short = servo.removeprefix(f"{self.name}.")
-        return f"servo of {self.name}" if short == servo else f"{short} servo of {self.name}"
 
 
 class FourBar(Struct, frozen=True, kw_only=True):
