@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 FORMATS_IN: Final = (
     "d6a, lerobot, numpy, mcap, rhubarb, papagayo, praat, xlights, audacity, "
-    "bitbots, hulks, pypot, blender, bottango, webots, bvh, mtn, maestro, ssc32-csv, pypose, ros, "
-    "csv, commands, opencat, poses, robotis-bin"
+    "bitbots, hulks, reachy, pypot, blender, bottango, choregraphe, webots, bvh, mtn, maestro, "
+    "ssc32-csv, pypose, nubots, ros, csv, commands, opencat, poses, robotis-bin"
 )
 """The names of `interchange.FORMAT_NAMES`, which loads too slowly for a help text; a test
 compares them."""

@@ -20,13 +20,15 @@ Readers, each a value of `Reader`:
 | module         | formats                                                                |
 |----------------|------------------------------------------------------------------------|
 | `bvh`          | motion capture as BVH: a skeleton and its frames                       |
+| `choregraphe`  | timelines of Choregraphe (NAO, Pepper), and its export to Python        |
 | `command_text` | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
 | `csv`          | wide and long CSV tables; `columns` says what their names mean         |
 | `d6a`          | action groups of Hiwonder robots (SQLite)                              |
-| `json_motions` | JSON of Bit-Bots, HULKs, Poppy (pypot), the Blender add-on, Bottango   |
+| `json_motions` | JSON of Bit-Bots, HULKs, Reachy Mini, pypot, Blender (add-on), Bottango |
 | `label_files`  | labels: Audacity, Rhubarb, Papagayo, Praat, xLights                    |
 | `lerobot`      | LeRobot datasets (parquet; needs pyarrow)                              |
 | `mcap_files`   | joint states in MCAP files (needs mcap)                                |
+| `nubots`       | scripts of the NUbots (YAML); `yaml_nodes` reads YAML for it and `ros` |
 | `numpy_files`  | NumPy arrays with names (`.npz`, `.npy`)                               |
 | `opencat`      | C arrays of OpenCat skills (Petoi)                                     |
 | `poses`        | plain lists of poses in JSON or CSV                                    |

@@ -42,11 +42,11 @@ from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
     ForeignMotion,
-    Measure,
     PoseNote,
     Reader,
     is_dense,
     motion_name,
+    motion_of_curves,
     summarised,
 )
 from lss_motion.show.model import Interpolation
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from lss_motion.interchange.reader import FloatArray, IntArray
+    from lss_motion.interchange.reader import Curves, FloatArray, IntArray
 
 
 FRAME: Final = "frame"
@@ -270,7 +270,7 @@ def head_of(data: bytes) -> tuple[TableHeader, list[str]] | None:
         found = header_of(iter(rows))
     except csv.Error:
         return None
-    if found is None:
+    if found is None or found.names[0].startswith("{"):
         return None
     return found, [row for at, row in rows if at > found.first_row and not row.startswith("#")]
 
@@ -382,7 +382,7 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     value_at = next(at for at, name in enumerate(header) if _is_value(name))
     unit = ANGLE_UNITS[name_and_unit(header[value_at])[1] or header[value_at]]
     ease_at = header.index("ease") if "ease" in header else None
-    samples: dict[str, dict[float, tuple[float, int]]] = {}
+    samples: Curves = {}
     eases: dict[float, Interpolation] = {}
     for count, (number, row) in enumerate(table.rows()):
         if count >= VALUES_MAX:
@@ -404,30 +404,20 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
         lines.refuse(None, "has no row with a value")
     used = {*time.columns, name_at, value_at, ease_at}
     extra = [name for at, name in enumerate(table.header) if at not in used]
-    channels = tuple(_channel(joint, unit, own) for joint, own in samples.items())
-    dense = [is_dense(channel.times_s) for channel in channels]
-    return ForeignMotion(
-        path=lines.path,
-        name=motion_name(lines.path),
-        channels=channels,
-        notes={time_s: PoseNote(ease=ease) for time_s, ease in eases.items()},
+    motion = motion_of_curves(
+        lines.path,
+        "",
+        samples,
+        lambda _: unit,
         comments=(
             f"Imported from {lines.path.name} (CSV, one row per key).",
             *summarised([f"column {name}" for name in extra]),
         ),
-        is_recording=any(dense) and not eases,
     )
-
-
-def _channel(joint: str, unit: Measure, samples: dict[float, tuple[float, int]]) -> Channel:
-    times_s = sorted(samples)
-    return Channel(
-        name=joint,
-        unit=unit,
-        times_s=np.array(times_s),
-        values=np.array([samples[time_s][0] for time_s in times_s]),
-        lines=np.array([samples[time_s][1] for time_s in times_s], dtype=np.int32),
-    )
+    if not eases:
+        return motion
+    notes = {time_s: PoseNote(ease=ease) for time_s, ease in eases.items()}
+    return replace(motion, notes=notes, is_recording=False)
 
 
 def _ease(lines: TextLines, number: int, word: str) -> Interpolation:

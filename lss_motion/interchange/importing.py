@@ -21,16 +21,25 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
 from lss_motion.files.texts import counted, known_names
 from lss_motion.interchange.bvh import BVH
+from lss_motion.interchange.choregraphe import CHOREGRAPHE
 from lss_motion.interchange.command_text import COMMANDS, CONSTANT_SPEED, command_reader
 from lss_motion.interchange.csv import CSV
 from lss_motion.interchange.d6a import D6A
 from lss_motion.interchange.fields import utf8_of
-from lss_motion.interchange.json_motions import BITBOTS, BLENDER, BOTTANGO, HULKS, PYPOT
+from lss_motion.interchange.json_motions import (
+    BITBOTS,
+    BLENDER,
+    BOTTANGO,
+    HULKS,
+    PYPOT,
+    REACHY,
+)
 from lss_motion.interchange.label_files import AUDACITY, PAPAGAYO, PRAAT, RHUBARB, XLIGHTS
 from lss_motion.interchange.labels import LabelStyle, label_sequence
 from lss_motion.interchange.lerobot import LEROBOT
 from lss_motion.interchange.mapping import UNWRAP_OFFER, MotionMap, mapped
 from lss_motion.interchange.mcap_files import MCAP
+from lss_motion.interchange.nubots import NUBOTS
 from lss_motion.interchange.numpy_files import NUMPY
 from lss_motion.interchange.opencat import OPENCAT
 from lss_motion.interchange.poses import POSES
@@ -68,15 +77,18 @@ READERS: Final[tuple[Reader, ...]] = (
     AUDACITY,
     BITBOTS,
     HULKS,
+    REACHY,
     PYPOT,
     BLENDER,
     BOTTANGO,
+    CHOREGRAPHE,
     WEBOTS,
     BVH,
     ROBOTIS_TEXT,
     MAESTRO,
     SSC32_TABLE,
     PYPOSE,
+    NUBOTS,
     ROS,
     CSV,
     COMMANDS,
@@ -123,9 +135,9 @@ def read_motion(
 
 OTHERS: Final = (
     (
-        b"<ChoregrapheProject",
-        "a Choregraphe behaviour",
-        "export its timeline to Python, and write its names, times and keys as a CSV table",
+        b"CEventBar",
+        "a show of Visual Show Automation (VSA)",
+        "write its events as a CSV table, with a column time_s and one for each track",
     ),
 )
 """Beginning of a file that cannot be read, what it is, and what to do."""

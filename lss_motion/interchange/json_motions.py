@@ -8,6 +8,9 @@ HULKs: groups of joints in radians, durations in seconds, from `initial_position
 have `frames` in place of `motion`, and conditions among them. Jumps have stiffnesses:
 `{"positions", "stiffnesses"}` in place of the groups of joints, at the start and in each keyframe.
 
+Reachy Mini: a recorded move, of which the turn of the head (roll, pitch, yaw about its base), the
+body and the antennas are angles. Where the head is moved to is left out.
+
 pypot (Poppy): degrees at measured times, in any order.
 
 The Blender add-on for servo animation: one position per frame and servo. Version 2 has a list of
@@ -23,6 +26,7 @@ curve. Between curves an effector keeps its signal.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -120,6 +124,9 @@ def _not_carried(top: dict[str, object], entries: list[dict[str, object]]) -> tu
     return summarised(found)
 
 
+MATRIX_ERROR: Final = 0.05
+"""Chosen: how far the matrix of a head may be from a rotation."""
+
 START: Final = "initial_positions"
 STIFFNESSES: Final = "stiffnesses"
 """Also found among the groups of joints, in `jump_left.json` of the team."""
@@ -207,6 +214,70 @@ def _values(fields: JsonFields, listed: object, where: str) -> tuple[dict[str, f
 def _unit(name: str) -> Measure:
     # A hand opens by a share from 0 to 1; all other joints rotate.
     return Measure.RAW if name.endswith(".hand") else Measure.RAD
+
+
+def _is_reachy(data: bytes) -> bool:
+    return starts_json(data, b"{") and b'"set_target_data"' in data and b'"time"' in data
+
+
+def _reachy_motions(path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+    fields = JsonFields(path)
+    top = fields.mapping(parsed_json(path, data), "the file")
+    times = fields.items(top, "time", "the file")
+    frames = fields.items(top, "set_target_data", "the file")
+    if len(times) != len(frames):
+        fields.refuse(f"has {counted(frames, 'frame')} for {counted(times, 'time')}")
+    poses = []
+    for index, (at, item) in enumerate(zip(times, frames, strict=True)):
+        where = f"set_target_data[{index}]"
+        frame = fields.mapping(item, where)
+        poses.append(
+            Pose(
+                at_s=fields.plain_number(at, f"time[{index}]"),
+                values=_reachy_values(fields, frame, where),
+                place=where,
+            )
+        )
+    known = {"time", "set_target_data", "description"}
+    comments = (
+        f"Imported from {path.name} (Reachy Mini move).",
+        *([f"description: {top['description']!s:.200}"] if top.get("description") else []),
+        *summarised(["the place of the head", *(key for key in top if key not in known)]),
+    )
+    return (motion_of_poses(path, "", poses, comments=comments),)
+
+
+REACHY: Final = Reader("reachy", _is_reachy, _reachy_motions)
+"""Reads `{"time": […], "set_target_data": [{"head": 4x4, "antennas": [2], "body_yaw"}]}`."""
+
+
+def _reachy_values(fields: JsonFields, frame: dict[str, object], where: str) -> dict[str, float]:
+    """Return angles in degrees: of the head about x, y, z of its base, of body and antennas."""
+    values: dict[str, float] = {}
+    if frame.get("head") is not None:
+        rows = np.array(_flat(fields, frame["head"], f"{where}.head"))
+        if rows.size != 16:
+            fields.refuse(f"{where}.head must be a matrix of 4 x 4")
+        turn = rows.reshape(4, 4)[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=MATRIX_ERROR):
+            fields.refuse(f"{where}.head is no rotation")
+        values["head_roll"] = math.degrees(math.atan2(turn[2, 1], turn[2, 2]))
+        values["head_pitch"] = math.degrees(math.asin(min(max(-turn[2, 0], -1.0), 1.0)))
+        values["head_yaw"] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+    if frame.get("body_yaw") is not None:
+        values["body_yaw"] = math.degrees(fields.number(frame, "body_yaw", where))
+    if frame.get("antennas") is not None:
+        for number, angle in enumerate(_flat(fields, frame["antennas"], f"{where}.antennas"), 1):
+            values[f"antenna_{number}"] = math.degrees(angle)
+    return values
+
+
+def _flat(fields: JsonFields, listed: object, where: str) -> list[float]:
+    """Return the numbers of a list, or of a list of lists."""
+    if not isinstance(listed, list) or len(listed) > 16:
+        fields.refuse(f"{where} must be a list of numbers")
+    rows = [row if isinstance(row, list) else [row] for row in listed]
+    return [fields.plain_number(value, where) for row in rows for value in row[:16]]
 
 
 def _is_pypot(data: bytes) -> bool:

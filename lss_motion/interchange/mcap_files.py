@@ -13,20 +13,14 @@ import struct
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-from msgspec.structs import replace
-
 from lss_motion.errors import InputError, install_command
 from lss_motion.files.source import RECORDING_MAX_BYTES
 from lss_motion.interchange.fields import NUMBER_MAX
 from lss_motion.interchange.reader import (
     DIGITS,
     VALUES_MAX,
-    Channel,
     Reader,
-    is_dense,
-    motion_label,
-    recording,
+    motion_of_curves,
     unit_of_ros_joint,
 )
 from lss_motion.units import NS_PER_S
@@ -77,24 +71,15 @@ def _motion(
     path: Path, topic: str, rows: list[tuple[float, float, dict[str, float]]]
 ) -> ForeignMotion:
     has_stamps = any(stamp_s for stamp_s, _, _ in rows)
-    samples: defaultdict[str, dict[float, float]] = defaultdict(dict)
+    samples: defaultdict[str, dict[float, tuple[float, int]]] = defaultdict(dict)
     for stamp_s, logged_s, positions in rows:
+        at_s = round(stamp_s if has_stamps else logged_s, DIGITS)
         for joint, position in positions.items():
-            samples[joint].setdefault(round(stamp_s if has_stamps else logged_s, DIGITS), position)
+            samples[joint].setdefault(at_s, (position, 0))
     about = [f"Imported from {path.name} (MCAP, topic {topic:.60})."]
     if "command" in topic:
         about.append("These are targets, at the instants at which they were sent.")
-    channels = [
-        Channel(
-            name=joint,
-            unit=unit_of_ros_joint(joint),
-            times_s=np.array(sorted(own)),
-            values=np.array([own[at_s] for at_s in sorted(own)]),
-        )
-        for joint, own in samples.items()
-    ]
-    motion = recording(path, motion_label(topic.strip("/")), channels, comments=about)
-    return replace(motion, is_recording=any(is_dense(channel.times_s) for channel in channels))
+    return motion_of_curves(path, topic.strip("/"), samples, unit_of_ros_joint, comments=about)
 
 
 def _messages(path: Path, data: bytes) -> Iterator[tuple[str, float, bytes]]:

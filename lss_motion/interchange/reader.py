@@ -314,6 +314,42 @@ def motion_of_poses(
     )
 
 
+Curves = dict[str, dict[float, tuple[float, int]]]
+"""Of each joint the value, and its line or 0, at each of its own times in any order."""
+
+
+def motion_of_curves(
+    path: Path,
+    name: str,
+    curves: Curves,
+    unit_of: Callable[[str], Measure],
+    *,
+    comments: Sequence[str] = (),
+) -> ForeignMotion:
+    """Return the motion of joints that have times of their own; a recording if one is dense."""
+    channels: list[Channel] = []
+    for joint, own in curves.items():
+        times_s = sorted(own)
+        lines = [own[at_s][1] for at_s in times_s]
+        channels.append(
+            Channel(
+                name=joint,
+                unit=unit_of(joint),
+                times_s=np.array(times_s),
+                values=np.array([own[at_s][0] for at_s in times_s]),
+                lines=np.array(lines, dtype=np.int32) if any(lines) else None,
+            )
+        )
+    return ForeignMotion(
+        path=path,
+        name=motion_name(path, name),
+        channels=tuple(channels),
+        notes={},
+        comments=tuple(comments),
+        is_recording=any(is_dense(channel.times_s) for channel in channels),
+    )
+
+
 def recording(
     path: Path,
     name: str,

@@ -3,29 +3,22 @@
 Positions are radians (REP 103), or metres for a sliding joint; the file does not define which. A
 joint with the name of a sliding joint therefore needs a map.
 
-`yaml_trees` reads the YAML as nested texts, lists and mappings with line numbers. It constructs no
-objects, and it bounds size and depth. Unlike `files.yaml_source`, it keeps every scalar as text.
 `ros2 topic echo` separates messages by documents. Joint states are a recording, and so are
 trajectories of one point each with increasing stamps; other trajectories are a motion each.
 """
 
 from __future__ import annotations
 
-import math
 import re
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
-from msgspec import Struct
 from msgspec.structs import replace
 
-from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
 from lss_motion.files.texts import counted
-from lss_motion.files.yaml_source import DEPTH_MAX, syntax_reason
-from lss_motion.interchange.fields import NUMBER_MAX, VALUE_MAX
+from lss_motion.interchange.fields import VALUE_MAX
 from lss_motion.interchange.reader import (
     ForeignMotion,
     Pose,
@@ -36,6 +29,7 @@ from lss_motion.interchange.reader import (
     summarised,
     unit_of_ros_joint,
 )
+from lss_motion.interchange.yaml_nodes import NodeFields, YamlNode, yaml_trees
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -43,107 +37,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.interchange.reader import RefusedMotion
-
-
-NODES_MAX: Final = 4_000_000
-"""Maximum number of nodes, as for values of a recording. An alias counts as its content."""
-
-
-class RosNode(Struct, frozen=True):
-    """A text, a list or a mapping, and the line where it starts."""
-
-    value: str | list[RosNode] | dict[str, RosNode]
-    line: int
-    size: int = 1
-    """Number of nodes in it, with itself and with the content of aliases."""
-
-
-def yaml_trees(text: str, path: Path) -> Iterator[RosNode]:
-    """Yield the documents of `text`, at least one, or raise `InputError` with the line."""
-    import yaml
-
-    loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-    try:
-        yield from _NodeBuilder(path, yaml.parse(text, Loader=loader)).documents()
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = None if mark is None else mark.line + 1
-        raise InputError(syntax_reason(error), path=path, line=line) from error
-
-
-class _NodeBuilder:
-    """Builds the tree from the events of the YAML parser."""
-
-    def __init__(self, path: Path, events: Iterator[Any]) -> None:
-        self._path = path
-        self._events = events
-        self._anchors: dict[str, RosNode] = {}
-        self._nodes_count = 0
-
-    def documents(self) -> Iterator[RosNode]:
-        is_empty = True
-        for event in self._events:
-            match type(event).__name__:
-                case "DocumentStartEvent":
-                    self._anchors.clear()
-                case "ScalarEvent" if not event.value and not is_empty:
-                    pass  # An echo ends in `---`.
-                case "ScalarEvent" | "AliasEvent" | "MappingStartEvent" | "SequenceStartEvent":
-                    is_empty = False
-                    yield self._node(event, 0)
-        if is_empty:
-            raise InputError("is empty", path=self._path)
-
-    def _node(self, event: Any, depth: int) -> RosNode:  # noqa: ANN401  yaml seam
-        line = event.start_mark.line + 1
-        if type(event).__name__ == "AliasEvent":
-            if event.anchor not in self._anchors:
-                raise self._error(line, f"alias *{event.anchor} has no anchor before it")
-            node = self._anchors[event.anchor]
-            self._count(line, node.size)
-            return node
-        self._count(line, 1)
-        if depth > DEPTH_MAX:
-            raise self._error(line, f"nested more than {DEPTH_MAX} deep")
-        if event.tag is not None and event.tag.startswith("tag:yaml.org,2002:python"):
-            raise self._error(line, f"tag {event.tag!r:.60} would run code, which is not allowed")
-        match type(event).__name__:
-            case "ScalarEvent":
-                node = RosNode(str(event.value), line)
-            case "MappingStartEvent":
-                node = self._mapping(line, depth)
-            case _:
-                node = self._list(line, depth)
-        if event.anchor is not None:
-            self._anchors[event.anchor] = node
-        return node
-
-    def _mapping(self, line: int, depth: int) -> RosNode:
-        value: dict[str, RosNode] = {}
-        size = 1
-        while type(event := next(self._events)).__name__ != "MappingEndEvent":
-            key = self._node(event, depth + 1)
-            if not isinstance(key.value, str):
-                raise self._error(key.line, "a key must be plain text")
-            if key.value in value:
-                raise self._error(key.line, f"{key.value!r:.60} is given twice")
-            value[key.value] = self._node(next(self._events), depth + 1)
-            size += key.size + value[key.value].size
-        return RosNode(value, line, size)
-
-    def _list(self, line: int, depth: int) -> RosNode:
-        value: list[RosNode] = []
-        while type(event := next(self._events)).__name__ != "SequenceEndEvent":
-            value.append(self._node(event, depth + 1))
-        return RosNode(value, line, 1 + sum(node.size for node in value))
-
-    def _count(self, line: int, size: int) -> None:
-        self._nodes_count += size
-        if self._nodes_count > NODES_MAX:
-            raise self._error(line, f"more than {NODES_MAX:,} keys and values")
-
-    def _error(self, line: int, reason: str) -> InputError:
-        return InputError(reason, path=self._path, line=line)
 
 
 _WRAPPINGS: Final = ("goal", "trajectory", "joint_trajectory", "play_motion", "ros__parameters")
@@ -202,14 +95,20 @@ joints}`, and the goals under their names.
 """
 
 
-@dataclass(slots=True)
-class _RosFile:
-    """Converts the nodes of one file; every `InputError` contains the line."""
+class _RosFile(NodeFields):
+    """Converts the nodes of one file."""
 
-    path: Path
-    left_out: list[str] = field(default_factory=list)
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.left_out: list[str] = []
 
-    def unwrapped(self, node: RosNode) -> dict[str, RosNode]:
+    def refuse(self, node: YamlNode, reason: str) -> NoReturn:
+        """Raise `InputError` with the line; what an echo left out is named as that."""
+        if node.value == SHORTENED:
+            reason = "left out by `ros2 topic echo`; write it with --full-length"
+        super().refuse(node, reason)
+
+    def unwrapped(self, node: YamlNode) -> dict[str, YamlNode]:
         """Return the mapping with `joint_names`, `motions` or `goal_names` inside the wrappings."""
         while True:
             here = self.mapping(node, "the file")
@@ -222,7 +121,7 @@ class _RosFile:
                 self.refuse(node, "must have 'joint_names' and 'points', or 'motions'")
             node = inner
 
-    def states(self, name: str, messages: Iterable[RosNode]) -> ForeignMotion:
+    def states(self, name: str, messages: Iterable[YamlNode]) -> ForeignMotion:
         """Return the recording of joint states, each with its stamp."""
         poses: list[Pose] = []
         for number, node in enumerate(messages, start=1):
@@ -255,7 +154,7 @@ class _RosFile:
         return replace(motion, is_recording=is_recording)
 
     def trajectories(
-        self, name: str, messages: list[RosNode]
+        self, name: str, messages: list[YamlNode]
     ) -> tuple[ForeignMotion | RefusedMotion, ...]:
         """Return the motion of each message, or of all if they are single points with stamps."""
         if len(messages) == 1:
@@ -288,13 +187,13 @@ class _RosFile:
         )
         return (motion,)
 
-    def _trajectory(self, name: str, node: RosNode) -> ForeignMotion:
+    def _trajectory(self, name: str, node: YamlNode) -> ForeignMotion:
         top = self.unwrapped(node)
         if "joint_names" not in top:
             self.refuse(node, "must have 'joint_names' and 'points'")
         return self.motion(name, top, top["joint_names"])
 
-    def _stamp_s(self, node: RosNode) -> float:
+    def _stamp_s(self, node: YamlNode) -> float:
         """Return the stamp of a message in seconds; 0 where it has none."""
         top = node.value if isinstance(node.value, dict) else {}
         header = top["header"].value if "header" in top else None
@@ -302,7 +201,7 @@ class _RosFile:
             return 0.0
         return self._time(header["stamp"])
 
-    def goals(self, name: str, top: dict[str, RosNode]) -> ForeignMotion:
+    def goals(self, name: str, top: dict[str, YamlNode]) -> ForeignMotion:
         """Return the goals that a publisher sends, one every `wait_sec_between_publish`."""
         for key in ("joints", "wait_sec_between_publish"):
             if key not in top:
@@ -326,7 +225,7 @@ class _RosFile:
         return motion_of_poses(self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments)
 
     def _goal(
-        self, name: str, node: RosNode, joints: list[str], sent_s: float, wait_s: float
+        self, name: str, node: YamlNode, joints: list[str], sent_s: float, wait_s: float
     ) -> Pose:
         parts = node.value if isinstance(node.value, dict) else {"positions": node}
         if "positions" not in parts:
@@ -347,14 +246,14 @@ class _RosFile:
             line=node.line,
         )
 
-    def listed_motion(self, name: str, node: RosNode) -> ForeignMotion:
+    def listed_motion(self, name: str, node: YamlNode) -> ForeignMotion:
         """Return one motion of a collection."""
         motion = self.mapping(node, name)
         if "joints" not in motion:
             self.refuse(node, f"motion {name!r:.60} has no 'joints'")
         return self.motion(name, motion, motion["joints"])
 
-    def motion(self, name: str, motion: dict[str, RosNode], joints: RosNode) -> ForeignMotion:
+    def motion(self, name: str, motion: dict[str, YamlNode], joints: YamlNode) -> ForeignMotion:
         """Return the motion with `points`, or with the flat lists of play_motion2."""
         names = [str(item.value) for item in self.items(joints, "the list of joints")]
         if len(set(names)) < len(names):
@@ -369,7 +268,7 @@ class _RosFile:
         comments += summarised(self.left_out)
         return motion_of_poses(self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments)
 
-    def _points(self, node: RosNode, names: list[str]) -> Iterator[Pose]:
+    def _points(self, node: YamlNode, names: list[str]) -> Iterator[Pose]:
         for index, item in enumerate(self.items(node, "'points'")):
             where = f"point {index + 1}"
             point = self.mapping(item, where)
@@ -391,7 +290,7 @@ class _RosFile:
             )
 
     def _flat(
-        self, name: str, motion: dict[str, RosNode], joints: RosNode, names: list[str]
+        self, name: str, motion: dict[str, YamlNode], joints: YamlNode, names: list[str]
     ) -> Iterator[Pose]:
         """Yield the poses of play_motion2: one list of positions, row by row."""
         for key in ("positions", "times_from_start"):
@@ -413,7 +312,7 @@ class _RosFile:
                 line=time.line,
             )
 
-    def _time(self, node: RosNode) -> float:
+    def _time(self, node: YamlNode) -> float:
         if isinstance(node.value, str):
             return self.number(node)
         if isinstance(node.value, list):  # As `rostopic pub` accepts it.
@@ -429,36 +328,8 @@ class _RosFile:
             0.0 if rest is None else self.number(rest) / NS_PER_S
         )
 
-    def number(self, node: RosNode, maximum: float = NUMBER_MAX) -> float:
-        """Return the number in `node`, or raise `InputError`."""
-        try:
-            value = float(node.value) if isinstance(node.value, str) else math.nan
-        except ValueError:
-            value = math.nan
-        if not abs(value) <= maximum:
-            self.refuse(node, f"{node.value!r:.60} is not a number, or out of range")
-        return value
 
-    def mapping(self, node: RosNode, where: str) -> dict[str, RosNode]:
-        """Return the mapping in `node`, or raise `InputError`."""
-        if not isinstance(node.value, dict):
-            self.refuse(node, f"{where:.60} must hold keys and values")
-        return node.value
-
-    def items(self, node: RosNode, where: str) -> list[RosNode]:
-        """Return the list in `node`, which has one entry or more, or raise `InputError`."""
-        if not isinstance(node.value, list) or not node.value:
-            self.refuse(node, f"{where} must be a list with at least one entry")
-        return node.value
-
-    def refuse(self, node: RosNode, reason: str) -> NoReturn:
-        """Raise `InputError` with `reason` and the line."""
-        if node.value == SHORTENED:
-            reason = "left out by `ros2 topic echo`; write it with --full-length"
-        raise InputError(reason, path=self.path, line=node.line)
-
-
-def _about(motion: dict[str, RosNode]) -> Iterator[str]:
+def _about(motion: dict[str, YamlNode]) -> Iterator[str]:
     meta = motion["meta"].value if "meta" in motion else None
     for key, node in meta.items() if isinstance(meta, dict) else ():
         if isinstance(node.value, str) and node.value:

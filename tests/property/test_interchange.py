@@ -95,6 +95,13 @@ SEEDS = {
     "opencat": b"const int8_t wk[] PROGMEM = {\n2, 0, 0, 1,\n 1, 2, 3, 4, 5, 6, 7, 8,\n 9, 8, 7, 6,"
     b"5, 4, 3, 2,};\nconst int8_t hi[] PROGMEM = {-2, 0, -30, 2,\n 0, 1, 2,\n 1, 2, 8, 1, 0, 0,\n "
     b"9, 5, 10, 0, 1, 20,};\n",
+    "reachy": b'{"description":"d","time":[0,1],"set_target_data":[{"head":[[1,0,0,0],[0,1,0,0],'
+    b'[0,0,1,0],[0,0,0,1]],"antennas":[0.1,0.2],"body_yaw":0.5},{"antennas":[0.2,0.3]}]}',
+    "choregraphe": b'<ChoregrapheProject><Box name="w"><Timeline fps="25"><ActuatorList>'
+    b'<ActuatorCurve actuator="a" mute="0" unit="0"><Key frame="5" value="1.5"/>'
+    b"</ActuatorCurve></ActuatorList></Timeline></Box></ChoregrapheProject>",
+    "nubots": b"- duration: 190\n  targets:\n    - {id: a, position: 0.5, gain: 3}\n"
+    b"- duration: 90\n  targets: [{id: a, position: 1}]\n",
     "numpy": npz(time_s=np.arange(3.0), a_rad=np.arange(3.0)),
     "poses": b'[{"name":"up","deg":{"a":10,"b":-5.5},"duration_s":0.5,"hold_ms":100},'
     b'{"b":0.5,"a":20,"duration_s":1}]',

@@ -282,7 +282,7 @@ def test_an_encoder_that_wraps_is_named_where_its_turn_is_refused(tmp_path, figu
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b'<?xml version="1.0"?><ChoregrapheProject/>', "is a Choregraphe behaviour"),
+        (bytes(12) + b"\0\0\0\1\0\0\0\xff\xff\1\0\x0f\0CEventBarLinear", "Visual Show Automation"),
     ],
 )
 def test_a_format_that_is_not_read_is_named_with_what_to_do(tmp_path, data, said) -> None:

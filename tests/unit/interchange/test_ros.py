@@ -7,7 +7,8 @@ import re
 import pytest
 
 from lss_motion.interchange.reader import ForeignMotion, Measure, RefusedMotion
-from lss_motion.interchange.ros import NODES_MAX, ROS
+from lss_motion.interchange.ros import ROS
+from lss_motion.interchange.yaml_nodes import NODES_MAX
 from tests.unit.interchange.conftest import PATH
 
 MESSAGE = """\
