@@ -7,7 +7,8 @@ import pytest
 
 from lss_motion.planning.program.model import Program
 from lss_motion.planning.program.splice import initial_splice_state
-from lss_motion.planning.trajectory.tracks import given_motion
+from lss_motion.planning.trajectory.curves import cubics
+from lss_motion.planning.trajectory.window import planned_window
 from lss_motion.playing.run import Observer, perform
 
 
@@ -18,14 +19,7 @@ def wave(robot, from_s, to_s, swing_deg):
     angles = swing_deg * np.sin(np.pi * share) ** 2 * np.ones(len(robot.joints))
     speeds = np.gradient(angles, 0.02, axis=0)
     speeds[-1] = 0.0
-    return given_motion(
-        "wave",
-        list(robot.joints),
-        robot,
-        times_s=times_s,
-        angles_deg=angles,
-        speeds_deg_s=speeds,
-    )
+    return planned_window("wave", list(robot.joints), robot, cubics(times_s, angles, speeds))
 
 
 class Extending:

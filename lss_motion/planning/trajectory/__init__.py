@@ -6,7 +6,8 @@
 |-----------------|------------------------------------------------------|-------------------------|
 | `planner.py`    | `plan`: sequence and robot to trajectory             | api, cli                |
 | `model.py`      | `Trajectory`, its passes, the clock of a path        | program, player, cli    |
-| `tracks.py`     | keyframes of a track, parallel tracks, given motion  | planner, walking        |
+| `tracks.py`     | keyframes of a track, tracks in parallel             | planner                 |
+| `window.py`     | motion between two boundary states, around an edit   | walking, studio         |
 | `playlist.py`   | steps one after the other, and the moves between     | planner                 |
 | `layers.py`     | layers blended on top of a show                      | planner                 |
 | `cues.py`       | marks, cues and waits in every pass of a loop        | program, playlist       |

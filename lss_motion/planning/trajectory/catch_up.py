@@ -119,7 +119,7 @@ def made_up(
     `windows` have the slow parts at rates up to 1. Those that contain a seam are kept as they are.
     At the positions `stops_s` no joint moves, so that the rate may jump.
     """
-    if not windows:
+    if not windows and dues.begins_late_s(task.path.knots_s[0]) <= LATE_MIN_S:
         return []
     for is_eased in (True, False):
         sweep = partial(_Sweep, task, windows, stops_s, dues, is_eased=is_eased)
@@ -197,8 +197,8 @@ class _Sweep:
         self.task = replace(task, knot_caps={}, shares=_shares(task) if is_eased else None)
         self.dues = dues
         self.stops_s = frozenset(stops_s.tolist())
-        self.end_s = float(task.path.knots_s[-1])
-        fixed, spans = free_windows(windows, stops_s, self.end_s, dues, urgent_s)
+        start_s, self.end_s = task.path.knots_s[[0, -1]].tolist()
+        fixed, spans = free_windows(windows, stops_s, (start_s, self.end_s), dues, urgent_s)
         keys_s = [key for span in spans for key in itertools.pairwise(span.keys_s)]
         self.free_s = np.array(keys_s, dtype=np.float64).reshape(-1, 2)
         self.calm_s = without(dues.held, self.free_s)
@@ -217,8 +217,9 @@ class _Sweep:
         self.missed_s: list[float] = []
         self.pace = PACE_MAX
         self.rates = _rates(task, dues.held)
-        self.at_s = min(self.starts_s, default=self.end_s)
-        self.late_s = 0.0
+        self.late_s = dues.begins_late_s(start_s)
+        is_late = self.late_s > LATE_MIN_S
+        self.at_s = start_s if is_late else min(self.starts_s, default=self.end_s)
         self.found: list[RateWindow] = []
         self.on_time = self._place()
 

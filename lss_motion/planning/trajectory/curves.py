@@ -352,6 +352,13 @@ class Path(Struct, frozen=True, kw_only=True):
         """True for each segment in which no joint moves."""
         return np.asarray(~np.any(self.coefficients[:, 1:, :], axis=(1, 2)), dtype=np.bool_)
 
+    def between(self, from_s: float, to_s: float) -> Path:
+        """Return the part between two knots, or from the ones nearest to these positions."""
+        first, last = (int(np.abs(self.knots_s - at_s).argmin()) for at_s in (from_s, to_s))
+        return Path(
+            knots_s=self.knots_s[first : last + 1], coefficients=self.coefficients[first:last]
+        )
+
     def segments_of(self, path_s: FloatArray) -> NDArray[np.intp]:
         """Return the segment of every position; a knot belongs to the segment that it starts."""
         found = np.searchsorted(self.knots_s, path_s, side="right") - 1

@@ -26,7 +26,7 @@ class Dues(Struct, frozen=True, kw_only=True):
     `keys_s` has where keys are reached and left, in order. `held` has from where to where a hold
     must be kept, (n, 2), in order and apart. Within `rests`, which are held, too, as much time must
     pass as the path is long there. At `seams_s` one pass ends and the next begins. A pass does not
-    make up for the lateness of another.
+    make up for the lateness of another. The path begins as late as the negative `authored` there.
     """
 
     authored: Callable[[FloatArray], FloatArray]
@@ -36,10 +36,29 @@ class Dues(Struct, frozen=True, kw_only=True):
     anchors_s: tuple[float, ...] = ()
     seams_s: tuple[float, ...] = ()
 
+    def between(self, from_s: float, to_s: float, late_s: float) -> Dues:
+        """Return what the author wants between two keys, from a motion that is late at the first.
+
+        Authored times count from where the motion on time would be at the first.
+        """
+        start_s = float(self.authored(np.array([from_s]))[0]) + late_s
+        authored = self.authored
+        return Dues(
+            authored=lambda path_s: authored(path_s) - start_s,
+            keys_s=self.keys_s[(self.keys_s >= from_s) & (self.keys_s <= to_s)],
+            held=self.held[(self.held[:, 1] > from_s) & (self.held[:, 0] < to_s)],
+            rests=self.rests[(self.rests[:, 1] > from_s) & (self.rests[:, 0] < to_s)],
+            anchors_s=tuple(at_s for at_s in self.anchors_s if from_s < at_s <= to_s),
+        )
+
     def spent(self, from_s: float, to_s: float) -> float:
         """Return the authored time between two positions."""
         start_s, end_s = self.authored(np.array([from_s, to_s])).tolist()
         return float(end_s - start_s)
+
+    def begins_late_s(self, start_s: float) -> float:
+        """Return how late the motion is where the path begins."""
+        return max(0.0, -float(self.authored(np.array([start_s]))[0]))
 
     def lateness(self, window: RateWindow, late_s: float) -> FloatArray:
         """Return how late the motion is at each grid point, if it is `late_s` at the first."""

@@ -45,21 +45,22 @@ class FreeSpans(Struct, frozen=True):
 def free_windows(
     windows: Sequence[RateWindow],
     stops_s: FloatArray,
-    end_s: float,
+    ends_s: tuple[float, float],
     dues: Dues,
     urgent_s: Sequence[float],
 ) -> tuple[list[RateWindow], list[FreeSpans]]:
     """Return the windows with a seam, which stay as they are, and the free spans around others.
 
-    `windows` have the slow parts at rates up to 1. Before the anchors `urgent_s` all is free.
+    `windows` have the slow parts at rates up to 1, of a path with these ends. Before the anchors
+    `urgent_s` all is free.
     """
     is_fixed = [any(w.from_s < seam < w.to_s for seam in dues.seams_s) for w in windows]
     fixed = [w for w, is_kept in zip(windows, is_fixed, strict=True) if is_kept]
-    ends_s = np.array([(window.from_s, window.to_s) for window in fixed]).ravel()
-    cuts_s = distinct(np.concatenate([stops_s, dues.seams_s, ends_s, [0.0, end_s]]))
+    fixed_s = np.array([(window.from_s, window.to_s) for window in fixed]).ravel()
+    cuts_s = distinct(np.concatenate([stops_s, dues.seams_s, fixed_s, ends_s]))
     # A hold keeps its length alone.
     keys_s = np.concatenate([dues.keys_s, dues.held.ravel(), dues.rests.ravel()])
-    keys_s = keys_s[(keys_s > 0.0) & (keys_s < end_s)]
+    keys_s = keys_s[(keys_s > ends_s[0]) & (keys_s < ends_s[1])]
     keys_s = distinct(np.concatenate([keys_s, cuts_s]))
     parts = [
         part

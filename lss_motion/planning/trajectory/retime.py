@@ -242,6 +242,17 @@ def stops(task: RateTask) -> NDArray[np.bool_]:
     return is_stop
 
 
+def timed(
+    dues: Dues, seams: Sequence[int], task: RateTask, _: object
+) -> tuple[list[RateWindow], PathClock]:
+    """Return the windows in which the rate is not 1, and the clock, with boundaries at `seams`."""
+    windows: list[RateWindow] = []
+    is_late = dues.begins_late_s(float(task.path.knots_s[0])) > 0.0
+    if is_late or task.knot_caps or segments_over_limits(task).any():
+        windows = timed_windows(task, dues)
+    return windows, authored_clock(task.path, windows, seams, dues)
+
+
 def timed_windows(task: RateTask, dues: Dues) -> list[RateWindow]:
     """Return the windows in which the rate is not 1: slow where limits bind, fast while late."""
     is_stop = stops(task)

@@ -1,8 +1,7 @@
 """Tracks: from keyframes to verified motion, for one track and for several tracks in parallel.
 
 `planned_track` plans the keyframes of one track. `planned_tracks` plays tracks of different joints
-at the same time. `given_motion` takes angles and speeds at instants, for motion that continues
-another one.
+at the same time.
 """
 
 from __future__ import annotations
@@ -18,20 +17,17 @@ from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
 from lss_motion.planning.trajectory import explain
-from lss_motion.planning.trajectory.curves import cubics
 from lss_motion.planning.trajectory.keys import is_timed, named
-from lss_motion.planning.trajectory.model import PathMotion, Trajectory, steady_clock
+from lss_motion.planning.trajectory.model import PathMotion, Trajectory
 from lss_motion.planning.trajectory.retime import (
     FIT_TOLERANCE_S,
     REST_RATIO,
     Layout,
-    authored_clock,
     laid_out,
     scaled,
-    segments_over_limits,
     slowed_to,
     stopping_clock,
-    timed_windows,
+    timed,
     with_reserve,
 )
 from lss_motion.planning.trajectory.solver import solve
@@ -106,7 +102,7 @@ def planned_layout(layout: Layout) -> Trajectory:
     for _ in range(SEAM_ROUNDS_MAX):
         task, (windows, clock) = with_reserve(
             layout.task(caps),
-            partial(_timed, layout, dues) if layout.is_timed else partial(_free, layout),
+            partial(timed, dues, layout.seams()) if layout.is_timed else partial(_free, layout),
             seams_s=dues.seams_s,
             loop=layout.sequence.loop,
             is_met=partial(explain.is_met, dues),
@@ -122,15 +118,6 @@ def _seam_rates(layout: Layout, clock: PathClock) -> list[float]:
     seams_s = [count * layout.spacing.length_s for count in range(1, len(layout.paths))]
     times_s = clock.times_of(np.array(seams_s))
     return [float(rate) for rate in clock.positions(times_s)[1]]
-
-
-def _timed(
-    layout: Layout, dues: Dues, task: RateTask, _: object
-) -> tuple[list[RateWindow], PathClock]:
-    windows: list[RateWindow] = []
-    if segments_over_limits(task).any() or task.knot_caps:
-        windows = timed_windows(task, dues)
-    return windows, authored_clock(task.path, windows, layout.seams(), dues)
 
 
 def _free(
@@ -402,29 +389,3 @@ def _merged(
         marks=tuple(sorted((m for t in tracks for m in t.marks), key=lambda m: m.planned_s)),
         smoothing=tuple(part for track in tracks for part in track.smoothing),
     )
-
-
-def given_motion(
-    name: str,
-    joints: Sequence[str],
-    robot: Robot,
-    *,
-    times_s: FloatArray,
-    angles_deg: FloatArray,
-    speeds_deg_s: FloatArray,
-) -> Trajectory:
-    """Return the motion through angles and speeds, (n, joints), cubic between them.
-
-    It starts at 0 s, which is `times_s[0]`, at the speeds given there, and ends at rest. Raises
-    `PlanningError` where it exceeds a limit of `robot`; it is not slowed.
-    """
-    order = [name for name in robot.joints if name in joints]
-    columns = [joints.index(joint) for joint in order]
-    knots_s = times_s - times_s[0]
-    path = cubics(knots_s, angles_deg[:, columns], speeds_deg_s[:, columns])
-    motion = PathMotion(path=path, clock=steady_clock(path.length_s))
-    trajectory = Trajectory(
-        name=name, joints=tuple(order), first=motion, middle=motion, last=motion
-    )
-    verify(trajectory, robot, is_from_rest=False)
-    return trajectory

@@ -104,7 +104,12 @@ class _Worst:
 
 
 def verify(
-    trajectory: Trajectory, robot: Robot, *, has_parts: bool = True, is_from_rest: bool = True
+    trajectory: Trajectory,
+    robot: Robot,
+    *,
+    has_parts: bool = True,
+    is_from_rest: bool = True,
+    is_to_rest: bool = True,
 ) -> Verification:
     """Return the largest shares of the limits that are used.
 
@@ -112,18 +117,18 @@ def verify(
     range, or if speed, acceleration or jerk exceed their limit by more than 0.1 %. Passes that
     repeat are sampled once, and so are their seams. Of a pass that is made of trajectories, these
     and the seams between them are checked; `has_parts` False checks the seams only, for parts that
-    have been verified. `is_from_rest` False takes no samples before the start, for a motion that
-    starts with speed.
+    have been verified. `is_from_rest` and `is_to_rest` False take no samples before the start and
+    after the end, for a motion that starts or ends with speed.
     """
     checks = _Checks(trajectory, robot)
     for motion in {id(part): part for _, part, _ in _passes(checks.trajectory)}.values():
         for part in {id(part): part for part in motion.parts if has_parts}.values():
             checks.include(verify(part, robot))
     for times_s in _blocks(checks.trajectory):
-        if is_from_rest or times_s[0] >= 0.0:
-            checks.check_uniform(times_s)
-        elif (from_s := times_s[times_s >= 0.0]).size > 2:
-            checks.check_uniform(from_s)
+        from_s = -math.inf if is_from_rest else 0.0
+        to_s = math.inf if is_to_rest else checks.trajectory.duration_s
+        if (inside_s := times_s[(times_s >= from_s) & (times_s <= to_s)]).size > 2:
+            checks.check_uniform(inside_s)
     for times_s, step_s in _one_sided_steps(checks.trajectory):
         checks.check_one_sided(times_s, step_s)
     return checks.verdict()

@@ -21,7 +21,8 @@ from lss_motion.errors import LssMotionError, PlanningError
 from lss_motion.planning.program.model import Program
 from lss_motion.planning.program.response import PiecewiseProfile
 from lss_motion.planning.program.splice import SpliceState, initial_splice_state, splice_lead_s
-from lss_motion.planning.trajectory.tracks import given_motion
+from lss_motion.planning.trajectory.curves import cubics
+from lss_motion.planning.trajectory.window import planned_window
 from lss_motion.show.gait.curves import spline
 from lss_motion.show.gait.model import BodyMove, BodyPose
 from lss_motion.show.gait.pacing import paced
@@ -191,13 +192,11 @@ class WalkPlanner:
         from_s: float,
     ) -> Extension:
         """Return the moves along these cubics, from show time `from_s` on."""
-        trajectory = given_motion(
+        trajectory = planned_window(
             self._gait.name,
             self._steering().joints,
             self._robot,
-            times_s=times_s,
-            angles_deg=angles_deg,
-            speeds_deg_s=speeds_deg_s,
+            cubics(times_s - times_s[0], angles_deg, speeds_deg_s),
         )
         splice_state = self._played.splice_state
         return splice_state.extended(

@@ -7,7 +7,8 @@ from lss_motion.errors import LineLoadError
 from lss_motion.planning.program.line import line_use
 from lss_motion.planning.program.model import Program, received_us, target_deg
 from lss_motion.planning.program.splice import initial_splice_state
-from lss_motion.planning.trajectory.tracks import given_motion
+from lss_motion.planning.trajectory.curves import cubics
+from lss_motion.planning.trajectory.window import planned_window
 from lss_motion.robot.profile import Profile, profile_lead_s
 from lss_motion.units import s_from_ms, s_from_us
 
@@ -46,9 +47,7 @@ def swing(robot, seed, *, from_s, length_s, before=None):
 def planned(robot, motion):
     times_s, angles, speeds = motion
     speeds[-1] = 0.0
-    return given_motion(
-        "swing", list(robot.joints), robot, times_s=times_s, angles_deg=angles, speeds_deg_s=speeds
-    )
+    return planned_window("swing", list(robot.joints), robot, cubics(times_s, angles, speeds))
 
 
 def standing_program(robot, tolerance_deg):
