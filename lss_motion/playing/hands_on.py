@@ -180,7 +180,8 @@ class Poller:
         if self._orders[bus]:
             return self._orders[bus].popleft()
         for (own_bus, _), hand in self._hands.items():
-            if own_bus == bus and hand.move is not None and not hand.left:
+            is_clear = hand.joint.servo_id not in self._trackers[bus].twins.unclear
+            if own_bus == bus and hand.move is not None and not hand.left and is_clear:
                 move, hand.move = hand.move, None
                 return move
         return None
@@ -206,11 +207,12 @@ class Poller:
                 if statement is not None and isinstance(statement.value, int | float):
                     self._take(hand, keyword, asked.arrival_ns, float(statement.value))
 
-        for servo_id in self._trackers[bus].doubled:
+        doubled = self._trackers[bus].twins.doubled
+        for servo_id in doubled:
             if (double := self._hands.get((bus, servo_id))) is not None:
                 double.move = None
                 self.doubled.append(double.joint)
-        self._trackers[bus].doubled.clear()
+        doubled.clear()
 
     def _take_probe(self, hand: _PolledJoint, answer: Reply) -> None:
         """Let a move pass, or note that the servo has restarted."""

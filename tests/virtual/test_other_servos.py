@@ -129,6 +129,35 @@ def play_six(stage, kit, faults, baud_bps):
     return stage.play(kit.robot(3, baud_bps=baud_bps), sequence, faults=faults)
 
 
+def late_moves(played, at_s):
+    """Return the moves to id 2 that left 0.3 s after the first query that two servos answer.
+
+    A reply that comes twice stops the next one; three that damage each other take 0.1 s.
+    """
+    asked_ns = [t for t, line in played.bus.lines if t > at_s * S and line.startswith(b"#2Q")]
+    assert asked_ns
+    return [
+        line
+        for at_ns, line in played.bus.lines
+        if line.startswith(b"#2D") and at_ns > asked_ns[0] + int(0.3 * S)
+    ]
+
+
+EVERY_S = [round(0.5 + 0.1 * step, 1) for step in range(70)]
+"""The show ends at 7.5 s. Every third instant is tried in the quick tier, all in the other."""
+
+
+@pytest.mark.parametrize("baud_bps", [115_200, 500_000])
+@pytest.mark.parametrize(
+    "at_s",
+    [pytest.param(s, marks=[pytest.mark.slow] if n % 3 else []) for n, s in enumerate(EVERY_S)],
+)
+def test_two_servos_get_no_move_after_their_replies_show_them(stage, kit, baud_bps, at_s):
+    played = play_six(stage, kit, [renumbered(at_s)], baud_bps)
+    assert played.report.outcome != "finished"
+    assert late_moves(played, at_s) == []
+
+
 @pytest.mark.parametrize("baud_bps", [500_000, 1_000_000])
 @pytest.mark.parametrize("at_s", [2.9, 3.2, 3.41, 3.8, 4.2, 5.0])
 def test_answers_that_come_twice_show_two_servos_and_neither_moves_on(stage, kit, baud_bps, at_s):
@@ -136,7 +165,7 @@ def test_answers_that_come_twice_show_two_servos_and_neither_moves_on(stage, kit
     assert "several servos (serial numbers" in str(played.result.error)
     braking = next(e for e in played.events if getattr(e, "joint", "") == "j1")
     assert "answers every query twice" in braking.cause
-    assert not [line for line in played.lines(after_ns=int((at_s + 0.3) * S)) if line[:3] == b"#2D"]
+    assert late_moves(played, at_s) == []
 
 
 def test_answers_that_damage_each_other_are_named(stage, kit):
@@ -144,7 +173,7 @@ def test_answers_that_damage_each_other_are_named(stage, kit):
     assert played.report.outcome == "fault"
     causes = {fault.joint: fault.cause for fault in played.report.faults}
     assert "as when two servos have the id 2" in causes["j1"]
-    assert not [line for line in played.lines(after_ns=int(2.33 * S)) if line[:3] == b"#2D"]
+    assert late_moves(played, 2.03) == []
 
 
 @pytest.mark.parametrize("ratio", [0.1, 0.2, 1.0])

@@ -32,6 +32,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     polling         queries in the gaps between moves, and their use    streamer
     query_choice    which servo is polled next, and for what            polling
     query_tracker   one line, and the queries in flight on it           all that send
+    twins           whether two servos answer to one id                 query_tracker
     unasked         what arrives on a bus beyond its queries            session, monitor
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player

@@ -112,6 +112,8 @@ class PollScheduler:
         self.rejected: dict[str, int] = dict.fromkeys(trackers, 0)
         self.to_resend: dict[str, JointState] = {}
         """Joints whose servo has lost a move; the caller that sends it again removes them."""
+        self._unclear: dict[str, JointState] = {}
+        """Joints whose answers came twice, and not once since."""
         self._trackers = trackers
         self._lines = {bus: tracker.line for bus, tracker in trackers.items()}
         self._by_bus: dict[str, list[JointState]] = {bus: [] for bus in trackers}
@@ -161,6 +163,8 @@ class PollScheduler:
                 self._choice.touch(bus)
                 self._choice.note_timeout(bus)
                 self._note_silence(bus, expired.command.servo_id, now_ns)
+            if tracker.twins.unclear:
+                self._suspect_twins(bus, now_ns)
             if self._is_starved(bus, now_ns):
                 self._poll_overdue(bus, now_ns, quiet_until_ns)
             if now_ns < self._rest_until_ns:
@@ -168,6 +172,8 @@ class PollScheduler:
                 continue
             while self._poll_one(bus, now_ns, quiet_until_ns):
                 pass
+        if self._unclear:
+            self._release_clear()
         if self.health.awaited:
             self.health.advance(now_ns)
 
@@ -379,8 +385,8 @@ class PollScheduler:
         tracker = self._trackers[bus]
         accepted = tracker.receive(reply, now_ns)
         self._silences[bus].answered(reply.servo_id)
-        if tracker.doubled:
-            self._suspect_twins(bus)
+        if tracker.twins.unclear:
+            self._suspect_twins(bus, now_ns)
         state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
         if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
             self.health.answered(state)
@@ -393,14 +399,31 @@ class PollScheduler:
         if state is not None:
             self._choice.touch(bus, state)
 
-    def _suspect_twins(self, bus: str) -> None:
-        """Send no move to servos whose answers come twice: each is examined before it moves on."""
-        for servo_id in self._trackers[bus].doubled:
+    def _suspect_twins(self, bus: str, now_ns: int) -> None:
+        """Send no move to servos whose answers come twice until one comes once.
+
+        They are asked at once. After several in a row each is examined before it moves on.
+        """
+        twins = self._trackers[bus].twins
+        for servo_id in twins.unclear:
+            state = self._by_address.get((bus, servo_id))
+            if state is not None and state.joint.name not in self._unclear:
+                self._unclear[state.joint.name] = state
+                state.settings.note_sign(now_ns, HOLD_SIGNS)
+                state.hold_back()
+        for servo_id in twins.doubled:
             if (state := self._by_address.get((bus, servo_id))) is not None:
                 state.drive(is_driven=False)
                 self.health.doubled.add(state.joint.name)
                 self.health.lost_settings(state, f"{DOUBLED_TEXT} {servo_id}")
-        self._trackers[bus].doubled.clear()
+        twins.doubled.clear()
+
+    def _release_clear(self) -> None:
+        """Release the servos that have given an answer that came once."""
+        for name, state in list(self._unclear.items()):
+            if state.joint.servo_id not in self._trackers[state.joint.bus].twins.unclear:
+                del self._unclear[name]
+                self._release(state)
 
     def _take(
         self,
@@ -474,7 +497,8 @@ class PollScheduler:
 
     def _release(self, state: JointState) -> None:
         """Send a servo the moves that were held back, if it is in doubt no more."""
-        if state.in_doubt and state.settings.has_settings and state.release():
+        is_sure = state.settings.has_settings and state.joint.name not in self._unclear
+        if state.in_doubt and is_sure and state.release():
             self.to_resend[state.joint.name] = state
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
@@ -488,6 +512,8 @@ class PollScheduler:
             wakeups_ns += self.watched.wakeups_ns()
         for bus, tracker in self._trackers.items():
             wakeups_ns += (tracker.give_up_ns, self._next_ns[bus])
+            if tracker.twins.unclear:
+                wakeups_ns.append(tracker.twins.settles_ns())
         self._wakeup_ns = earliest_after(now_ns, wakeups_ns)
         return self._wakeup_ns
 

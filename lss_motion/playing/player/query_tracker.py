@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.playing.player.echo import EchoFilter
+from lss_motion.playing.player.twins import Twins
 from lss_motion.protocol.framing import Command, Garbage, Reply, ReplyParser, encode_query, size_of
 from lss_motion.units import NS_PER_MS, NS_PER_S, line_time_ns
 
@@ -146,18 +147,6 @@ SLOWER_RATIO: Final = 1.25
 """A servo that is slower than was assumed gets so much of the time that it needed. Chosen."""
 AWAY_NS: Final = 4 * NS_PER_S // 10
 """Another servo is not put in the place of one in less. Chosen: three lost answers at 9600 bps."""
-TWIN_NS: Final = 10 * NS_PER_MS
-"""A second servo of an id answers at most so much later than the first: 2 ms (FACTS.md W14), with a
-margin for the line and the adapter."""
-TWIN_ANSWERS: Final = 2
-"""After so many answers in a row that came twice, two servos may have the id. Chosen: to examine
-it costs a show some seconds, and two servos are moved as one until then."""
-SINGLE_FLIGHTS: Final = 6
-"""The others must have been asked so often, and no answer of theirs came twice: a line that doubles
-replies, all or a fifth of them, shows by then that it is no matter of one id. Chosen."""
-TWIN_PAUSE: Final = 100
-"""So many must come twice until the same is suspected once more. Chosen: an examination found one
-servo, so the line doubles its replies."""
 MARGIN_SAMPLES: Final = 4
 """The next answer may be earlier or later than all n remembered ones by 4/n of their spread.
 Chosen: of evenly spread values, one in some hundred exceeds it."""
@@ -259,10 +248,6 @@ class _LinkState:
     """When the first query without an answer had arrived since the last one with one."""
     back_ns: int = 0
     """When an answer ended the last absence of `AWAY_NS` or more; 0: there was none."""
-    answered_ns: dict[str, int] = field(default_factory=dict)
-    """By keyword, when it was answered last, unless that answer has come twice."""
-    doubles: int = 0
-    """Replies in a row that came twice."""
     flights: int = 0
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
@@ -296,11 +281,7 @@ class QueryTracker:
         self.strays = 0
         self.unasked: Counter[tuple[int, str]] = Counter()
         """Of the strays, by id and keyword, those that are no late answers."""
-        self.doubled: list[int] = []
-        """Ids whose answers come twice, as when two servos have the id; a caller that uses them
-        empties it."""
-        self._doublers: set[int] = set()
-        """Ids of which an answer ever came twice."""
+        self.twins = Twins()
         self._flights: dict[int, _Flight] = {}
         self._links: defaultdict[int, _LinkState] = defaultdict(_LinkState)
         self._lost: list[PendingQuery] = []
@@ -444,6 +425,7 @@ class QueryTracker:
         arrival_ns = self.line.send(encode_query(command), now_ns)
         if servo_id not in self._flights:
             link.flights += 1
+            self.twins.note_asked(servo_id)
             is_prompt = link.flights % PROMPT_EVERY == 0 or not link.latency.is_well_known
             self._flights[servo_id] = _Flight(
                 garbage=self.line.garbage, is_patient=is_patient and not is_prompt
@@ -465,7 +447,7 @@ class QueryTracker:
         """
         servo_id, query = self._query_for(reply, now_ns)
         if query is None:
-            self._note_stray(servo_id, reply.keyword, now_ns)
+            self._note_stray(servo_id, reply, now_ns)
             return []
         flight, link = self._flights[servo_id], self._links[servo_id]
         self.reply_count += 1
@@ -484,9 +466,7 @@ class QueryTracker:
         if link.missed_ns is not None:
             link.back_ns = now_ns if now_ns - link.missed_ns >= AWAY_NS else link.back_ns
             link.missed_ns = None
-        if reply.keyword in link.answered_ns and link.doubles > 0:
-            link.doubles = 0
-        link.answered_ns[reply.keyword] = now_ns
+        self.twins.note_answer(servo_id, reply, now_ns, flight.garbage, self.line.garbage)
         flight.held.append((query, reply))
         if link.overdue:
             link.overdue.clear()
@@ -499,6 +479,8 @@ class QueryTracker:
 
     def expire(self, now_ns: int) -> list[PendingQuery]:
         """Give up the queries whose time is over; return them."""
+        if self.twins.unclear:
+            self.twins.settle(now_ns, self.line.garbage)
         if not self._lost and (self.give_up_ns is None or now_ns < self.give_up_ns):
             return []
         given_up, self._lost = self._lost, []
@@ -506,6 +488,8 @@ class QueryTracker:
         for servo_id in late:
             flight, link = self._flights.pop(servo_id), self._links[servo_id]
             given_up += flight.waiting
+            if flight.garbage != self.line.garbage:
+                self.twins.note_damaged(servo_id)
             if link.missed_ns is None and flight.waiting:
                 link.missed_ns = flight.waiting[0].arrival_ns
             self.strays += len(flight.held)
@@ -538,14 +522,14 @@ class QueryTracker:
                 return servo_id, query if now_ns >= query.arrival_ns else None
         return servo_id, None
 
-    def _note_stray(self, servo_id: int, keyword: str, now_ns: int) -> None:
+    def _note_stray(self, servo_id: int, reply: Reply, now_ns: int) -> None:
         self.strays += 1
+        keyword = reply.keyword
         flight, link = self._flights.get(servo_id), self._links.get(servo_id)
         is_late = link is not None and keyword in link.overdue
         if not is_late:
             self.unasked[servo_id, keyword] += 1
-            if link is not None and keyword in link.answered_ns:
-                self._note_double(servo_id, link, now_ns - link.answered_ns.pop(keyword))
+            self.twins.note_again(servo_id, reply, now_ns)
         if link is not None and is_late:
             link.last_reply_ns = now_ns
             link.latency.forget(now_ns - link.overdue[keyword])
@@ -553,20 +537,6 @@ class QueryTracker:
         if flight is not None:
             flight.is_doubtful |= not is_late
             self._predict(servo_id, flight)
-
-    def _note_double(self, servo_id: int, link: _LinkState, later_ns: int) -> None:
-        """Note that a reply has come twice, so much later."""
-        if later_ns <= TWIN_NS:
-            link.doubles += 1
-            self._doublers.add(servo_id)
-            if link.doubles >= TWIN_ANSWERS and self._is_only_doubler(servo_id):
-                link.doubles = TWIN_ANSWERS - TWIN_PAUSE
-                self.doubled.append(servo_id)
-
-    def _is_only_doubler(self, servo_id: int) -> bool:
-        """Return whether there are others on the bus, and their answers come once."""
-        others = [link.flights for other, link in self._links.items() if other != servo_id]
-        return self._doublers == {servo_id} and min(others, default=0) >= SINGLE_FLIGHTS
 
     def _accepted(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
         """Return, and stop holding, the answers that can belong to one query only."""
