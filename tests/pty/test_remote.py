@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import lss_motion as lss
+from lss_motion.playing.remote import handle as module
 from tests.programs import ProgramBeside
 from tests.swing import WAIT_S, until, write_show
 
@@ -97,6 +98,28 @@ def test_a_killed_player_is_an_error_not_a_hang(on_terminal, servo, show):
             handle.wait(WAIT_S)
         handle.stop()
         handle.close()
+
+
+def test_a_player_that_stands_still_is_left_and_makes_the_robot_safe_when_it_goes_on(
+    on_terminal, servo, show, monkeypatch
+):
+    monkeypatch.setattr(module, "STOP_S", 0.5)
+    with on_terminal(servo(1)) as bus:
+        handle = lss.start(*show(), rule=lss.LossRule("go_on", silent_s=0.1))
+        wait_for(handle, "playing")
+        pid = handle._process.pid
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            for _ in range(20_000):  # More than a socket takes: nobody waits for it.
+                handle.rate(0.9)
+            with pytest.warns(RuntimeWarning, match="stands still"):
+                handle.close()
+            assert is_running(pid)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        until(lambda: not is_running(pid))
+        handle.close()
+        assert bus.lines[-1][1] == b"#254H\r"
 
 
 @pytest.mark.slow

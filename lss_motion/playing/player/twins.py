@@ -36,7 +36,7 @@ TWIN_PAUSE: Final = 100
 servo, so the line doubles its replies."""
 
 
-class _Answer(NamedTuple):
+class _Answered(NamedTuple):
     """The last answer to one keyword, unless it has come twice."""
 
     at_ns: int
@@ -56,7 +56,7 @@ class Twins:
         self._asked: Counter[int] = Counter()
         self._damaged: Counter[int] = Counter()
         """By id, the damaged answers in a row."""
-        self._answers: dict[int, dict[str, _Answer]] = {}
+        self._answers: dict[int, dict[str, _Answered]] = {}
         self._doublers: set[int] = set()
         """Ids of which an answer ever came twice."""
         self._pauses: dict[int, int] = {}
@@ -71,7 +71,7 @@ class Twins:
     ) -> None:
         """Note the answer to a query; `before` its row so much garbage had come, and by now."""
         answers = self._answers.setdefault(servo_id, {})
-        answers[reply.keyword] = _Answer(now_ns, reply.value, before)
+        answers[reply.keyword] = _Answered(now_ns, reply.value, before)
         if before == garbage and self._damaged:
             self._damaged.pop(servo_id, None)
 

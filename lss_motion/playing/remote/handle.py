@@ -17,6 +17,7 @@ import pickle
 import queue
 import sys
 import threading
+import warnings
 from typing import TYPE_CHECKING, Final, cast
 
 from msgspec import Struct
@@ -32,6 +33,7 @@ from lss_motion.playing.remote.process import packed, start_process
 from lss_motion.robot.model import Robot
 from lss_motion.system.closing import Closing
 from lss_motion.system.messages import Kind, PipeClosedError
+from lss_motion.system.reactor import wait_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -41,6 +43,15 @@ if TYPE_CHECKING:
 
 STOP_S: Final = 30.0
 """A show that was stopped has ended by then: it brakes, settles and gives back the settings."""
+END_S: Final = 2.0
+"""The process of a show that has ended is gone by then."""
+FLUSH_S: Final = 0.25
+"""What a player that stands still did not take is offered to it again so often."""
+STANDS_STILL: Final = (
+    "the process that plays (pid {}) stands still. When it goes on, it stops the show, also if "
+    "this program has ended; the servos come to rest by themselves. Cut their power if they must "
+    "be limp"
+)
 GONE: Final = (
     "the process that plays has ended without a report; the servos come to rest by themselves"
 )
@@ -128,7 +139,6 @@ class Handle(Closing):
         """The phase of the player, by the names of `playing.player.events.Phase`."""
         self._process = start_process(packed(job))
         self._link = self._process.pipe
-        self._link.set_blocking(is_blocking=True)  # A thread receives; `send` gives it all.
         # A handle that is forgotten goes on playing; the end of this process ends the show.
         self._listener = threading.Thread(target=self._listen, name="lss-handle", daemon=True)
         self._listener.start()
@@ -177,13 +187,15 @@ class Handle(Closing):
 
     def _send(self, operation: type[m.Operation], **fields: object) -> None:
         with self._lock:
-            message = operation(id=self._next_id, **fields)
-            self._next_id += 1
-            content = message.to_json()
-            if self._ended.is_set() or not self._link.send(Kind.OPERATION, content):
-                return
-            while self._link.is_full and not self._link.is_closed:
-                self._link.flush()
+            if not self._ended.is_set():
+                is_last = operation in (m.Stop, m.Estop)  # Kept, however full the link is.
+                content = self._message(operation, **fields)
+                self._link.send(Kind.OPERATION, content, is_last=is_last)
+
+    def _message(self, operation: type[m.Operation], **fields: object) -> bytes:
+        message = operation(id=self._next_id, **fields)
+        self._next_id += 1
+        return message.to_json()
 
     # ---- what happens
 
@@ -241,7 +253,7 @@ class Handle(Closing):
             raise TimeoutError(f"the show plays on after {timeout_s:g} s")
         outcome = self._outcome
         if outcome is None:
-            raise BusError(f"{GONE} (exit code {self._process.wait()})")
+            raise BusError(f"{GONE} (exit code {self._process.wait(END_S)})")
         if outcome.error is not None:
             raise in_python_words(outcome.error)
         # A run without an error has a report, and one show that of `lss.play`.
@@ -250,14 +262,18 @@ class Handle(Closing):
     # ---- the end
 
     def close(self) -> None:
-        """Stop the show if it plays, and wait for its end; raises nothing about the robot."""
+        """Stop the show if it plays, and wait for its end; raises nothing about the robot.
+
+        A player that stands still is waited for twice `STOP_S`, and then left with a warning: what
+        it was sent stays in its link, so that it makes the robot safe when it goes on.
+        """
         self.stop()
         if not self._ended.wait(STOP_S):
             self.estop()
-            self._ended.wait(STOP_S)
-        self._link.shut()  # The player sees its end, should it hang on.
-        self._process.wait()
-        self._listener.join()
+            if not self._ended.wait(STOP_S):
+                warnings.warn(STANDS_STILL.format(self._process.pid), RuntimeWarning, stacklevel=2)
+                return
+        self._listener.join(END_S)
 
     def __repr__(self) -> str:
         """Return one line: what plays, its phase, and the show time."""
@@ -269,18 +285,22 @@ class Handle(Closing):
     def _beat(self, every_s: float) -> None:
         """Tell the player that this process is alive, until the show has ended."""
         while not self._ended.wait(every_s):
-            self._send(m.Beat)
+            with self._lock:  # One that is late is worthless: a stop needs the room.
+                self._link.offer(Kind.OPERATION, self._message(m.Beat))
 
     def _listen(self) -> None:
         """Take what the player sends until it ends."""
         try:
             with contextlib.suppress(PipeClosedError, OSError):
                 while True:
+                    wait_for([self._link.fileno()], FLUSH_S)
+                    with self._lock:
+                        self._link.flush()
                     for kind, content in self._link.receive():
                         self._take(kind, content)
             if self._outcome is None:
                 self._note(m.Ended(outcome="lost", error=GONE, report=None))
-            self._process.wait()
+            self._process.wait(END_S)
         finally:
             self._ended.set()
             with self._lock:
