@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import math
+import sys
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
@@ -295,7 +296,7 @@ def main(pipe: MessagePipe, keys_help: str) -> int:
     from rich.live import Live
 
     notes: list[str] = []
-    console = Console(stderr=True)
+    console = Console(file=sys.__stderr__)
     typed: TypedPipe[DisplayFrame | Notes] = TypedPipe(pipe, DisplayFrame | Notes)
     with Live(console=console, auto_refresh=False, transient=True) as live:
 

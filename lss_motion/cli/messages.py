@@ -21,7 +21,7 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
-from lss_motion.files.texts import escaped
+from lss_motion.files.texts import ShownStream, escaped
 from lss_motion.system.reactor import wait_for
 from lss_motion.system.signals import exit_code, redirect_to_null
 
@@ -86,7 +86,10 @@ def say(text: str, stream: TextIO | None = None, *, end: str = "\n", control: st
 
     What would steer a terminal is printed as an escape, except `control`, which comes first.
     """
-    print(control + escaped(text), end=end, file=stream or sys.stdout, flush=True)
+    stream = stream or sys.stdout
+    if control:
+        (stream.steer if isinstance(stream, ShownStream) else stream.write)(control)
+    print(escaped(text), end=end, file=stream, flush=True)
 
 
 def put(text: str, stream: TextIO | None = None, *, end: str = "\n", control: str = "") -> None:

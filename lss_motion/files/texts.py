@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import io
 import json
 import math
 import re
@@ -35,6 +36,27 @@ def escaped(text: str, *, as_json: bool = False) -> str:
         else char.encode("unicode_escape").decode("ascii")
         for char in text
     )
+
+
+class ShownStream(io.TextIOWrapper):
+    """A text stream on which nothing steers a terminal, whoever writes to it, except by `steer`."""
+
+    def write(self, text: str) -> int:
+        super().write(escaped(text))
+        return len(text)
+
+    def steer(self, control: str) -> None:
+        """Write as it is what is known to be no text from outside."""
+        super().write(control)
+
+
+def show_standard_error() -> None:
+    """Let nothing that a library, a warning or a traceback prints steer the terminal."""
+    stream = sys.stderr
+    if type(stream) is io.TextIOWrapper:
+        sys.stderr = ShownStream(
+            stream.buffer, stream.encoding, "backslashreplace", line_buffering=True
+        )
 
 
 def printable(text: str) -> str:

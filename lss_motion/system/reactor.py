@@ -68,8 +68,10 @@ def begin() -> None:
     The arguments are the module, the file number of this end of the pipe, and words for
     `main(pipe, *words)` of the module, whose result is the exit code.
     """
+    from lss_motion.files.texts import show_standard_error
     from lss_motion.system.messages import MessagePipe  # programs without helpers do without
 
+    show_standard_error()
     for number in ENDING:
         signal.signal(number, _do_nothing)
     module_name, fileno, *words = sys.argv[1:]

@@ -63,6 +63,9 @@ def as_program(name: str, do: Callable[[], int]) -> int:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, or a job behind `&`
             signal.signal(number, handler)
     try:
+        from lss_motion.files.texts import show_standard_error  # a signal may come meanwhile
+
+        show_standard_error()
         code = do()
     except SystemExit as ended:  # argparse: --help, --version, a wrong argument
         code = ended.code if isinstance(ended.code, int) else EXIT_FINISHED

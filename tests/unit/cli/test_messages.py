@@ -60,6 +60,45 @@ def test_a_name_of_a_file_cannot_steer_the_terminal(program, words):
     assert r"\x1b]0;taken\x07" in done.stderr
 
 
+OTHERS = f"""
+import asyncio, logging, sys, threading, warnings
+from lss_motion.system.signals import as_program
+text = {STEERING!r}
+
+def fails():
+    raise ValueError(text)
+
+def do():
+    warnings.warn(text)
+    logging.getLogger("asyncio").error(text)
+    thread = threading.Thread(target=fails)
+    thread.start()
+    thread.join()
+    print(text, file=sys.stderr)
+    fails()
+
+as_program("name", do)
+"""
+
+
+def test_what_others_print_to_standard_error_cannot_steer_the_terminal():
+    done = subprocess.run(
+        [sys.executable, "-c", OTHERS], capture_output=True, text=True, check=False
+    )
+    assert done.stderr.count(r"\x1b]0;taken\x07") >= 5
+    assert not steers(done.stderr)
+
+
+def test_what_a_helper_fails_with_cannot_steer_the_terminal(tmp_path):
+    (tmp_path / "helper.py").write_text(f"def main(pipe):\n    raise ValueError({STEERING!r})\n")
+    start = "from lss_motion.system.process import ChildProcess; ChildProcess('helper').end(20.0)"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", start]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert r"ValueError: \x1b]0;taken\x07" in done.stderr
+    assert not steers(done.stderr)
+
+
 def test_a_terminal_without_superscripts_gets_a_question_mark_and_no_traceback():
     command = [sys.executable, "-m", "lss_motion.cli.main", "reference", "LSS"]
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
