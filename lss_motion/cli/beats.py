@@ -180,11 +180,15 @@ def _into(path: Path, at_s: FloatArray, *, is_anchored: bool) -> str:
     """Write the beats into a sequence file; return what was done."""
     from lss_motion.files.source import read_text
     from lss_motion.files.yaml_edit import set_values
+    from lss_motion.files.yaml_text import WrittenValue
 
-    listed = ", ".join(f"{beat_s:.{DIGITS}f}" for beat_s in at_s.tolist())
+    beats_s = [round(beat_s, DIGITS) for beat_s in at_s.tolist()]
+    listed = ", ".join(f"{beat_s:.{DIGITS}f}" for beat_s in beats_s)
     rows = textwrap.wrap(listed, WIDTH - 4, break_long_words=False)
     shown = "[\n    " + "\n    ".join(rows) + "\n  ]"
-    value = f"{{at_s: {shown}, anchor: true}}" if is_anchored else shown
+    value = WrittenValue(shown, beats_s)
+    if is_anchored:
+        value = WrittenValue(f"{{at_s: {shown}, anchor: true}}", {"at_s": beats_s, "anchor": True})
     write_output(path, set_values(path, read_text(path), (), {"beats": value}))
     return f"{path}: {counted(at_s, 'beat')}; at_beat: 1 is at {at_s[0]:g} s"
 

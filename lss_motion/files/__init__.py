@@ -7,7 +7,9 @@
 | `yaml_source` | YAML as plain values with their lines | `validation`, readers of YAML files |
 | `keys` | classes of keys: what a file may hold, and their JSON Schema | every `file.py` |
 | `validation` | reads what a file holds by its class of keys | readers of YAML files |
-| `yaml_edit` | changes single values of a YAML text, keeps the rest | `maintenance`, commands |
+| `yaml_tree` | where each key, value and item of a YAML text stands | `yaml_edit` |
+| `yaml_text` | values as a person writes them in YAML | `yaml_edit`, commands |
+| `yaml_edit` | changes what is asked for in a YAML text, keeps the rest | `show`, `robot`, `cli` |
 | `output` | refuses to lose a file, writes one as a whole | all writers |
 | `cache` | keeps results; proof of who wrote one | `planning.kept` |
 """

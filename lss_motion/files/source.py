@@ -7,7 +7,8 @@
 
 Inside `recorded`, `read_data` notes each file with a hash of its content, and `looked_for` whether
 there was a file. What depends on more than files, such as on the modules that Python finds, calls
-`note_unrepeatable`. Every failure is an `InputError` with the path and, where there is one, the
+`note_unrepeatable`. Inside `with_edits`, files that are being edited have the content that is not
+saved yet. Every failure is an `InputError` with the path and, where there is one, the
 line.
 """
 
@@ -61,6 +62,19 @@ def recorded() -> Iterator[Record]:
         yield record
     finally:
         _open.reset(token)
+
+
+_edited: ContextVar[Mapping[Path, bytes] | None] = ContextVar("edited", default=None)
+
+
+@contextmanager
+def with_edits(contents: Mapping[Path, bytes]) -> Iterator[None]:
+    """Let files, by their full paths, have another content inside of this block, in this thread."""
+    token = _edited.set(contents)
+    try:
+        yield
+    finally:
+        _edited.reset(token)
 
 
 def note_content(path: Path, data: bytes) -> None:
@@ -154,6 +168,8 @@ def bounded_data(path: Path, max_bytes: int = FILE_MAX_BYTES) -> bytes:
 
     Only regular files are opened: a pipe might never deliver a byte, a device never end.
     """
+    if (edits := _edited.get()) and (edited := edits.get(path.resolve())) is not None:
+        return edited
     try:
         with _opened(path) as stream:
             data = stream.read(max_bytes + 1)

@@ -108,7 +108,7 @@ def read_yaml(path: Path) -> YamlSource:
     Scalars follow YAML 1.2 (`yes` and `1:30` are text, `1e3` and `010` are numbers). Anchors and
     aliases work; tags, merge keys, several documents and keys that are no text do not.
     """
-    return _parsed(read_text(path), path)
+    return parse_yaml(read_text(path), path)
 
 
 VALUE_PATH: Final = Path("dict")
@@ -123,7 +123,7 @@ def source_of(value: Mapping[str, object]) -> YamlSource:
     the place of a value, such as `keyframes.2.deg.elbow`.
     """
     text = json.dumps(_plain(value, ()), indent=0)  # JSON is YAML, with every text quoted.
-    return replace(_parsed(text, VALUE_PATH), has_lines=False)
+    return replace(parse_yaml(text, VALUE_PATH), has_lines=False)
 
 
 def _plain(value: object, place: Location) -> object:
@@ -153,7 +153,8 @@ def place_text(location: Location) -> str:
     return ".".join(map(str, location))
 
 
-def _parsed(text: str, path: Path) -> YamlSource:
+def parse_yaml(text: str, path: Path) -> YamlSource:
+    """Return what `read_yaml` does, of a text; `path` is where it comes from."""
     import yaml
 
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)

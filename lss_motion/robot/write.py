@@ -39,7 +39,9 @@ def write_response(
     """
     text, mark = _text_of(path)
     changed = set_values(path, text, ("joints", joint_name, "response"), values)
-    changed = set_comment(changed, ("joints", joint_name), f"{joint_name} identified", comments)
+    changed = set_comment(
+        path, changed, ("joints", joint_name), f"{joint_name} identified", comments
+    )
     robot = load_robot(path)
     joint = robot.joints[joint_name]
 

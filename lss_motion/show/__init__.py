@@ -11,6 +11,7 @@ file         what it is                                             called by
 `functions`  Python functions of a show, looked up and not run      `load`, `runtime`, `cli`
 `parts`      steps of a play list, layers; a mirrored sequence      `load`
 `check`      what robot and sequence must agree on; what loops      `load`, `cli`, `interchange`
+`key_edit`   keys that are moved, set, added: edits of the text      `studio`
 `write`      `Sequence` → file that a person can edit               `cli`
 ===========  =====================================================  ===============================
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, TypeVar
 
@@ -34,6 +35,17 @@ def beat_time(beats_s: Sequence[float], beat: float) -> float | None:
         return None
     before_s = beats_s[whole - 1]
     return round(before_s + part * (beats_s[whole] - before_s), DIGITS) if part else before_s
+
+
+def beat_number(beats_s: Sequence[float], at_s: float) -> float | None:
+    """Return the number of the beat at an instant, with its part; None outside of the beats."""
+    if len(beats_s) < 2 or not beats_s[0] <= at_s <= beats_s[-1]:
+        return None
+    whole = bisect_right(beats_s, at_s)
+    if whole == len(beats_s):
+        return float(whole)
+    before_s = beats_s[whole - 1]
+    return whole + (at_s - before_s) / (beats_s[whole] - before_s)
 
 
 def on_beats(content: SequenceFile) -> tuple[SequenceFile, list[Mistake]]:

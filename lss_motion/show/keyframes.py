@@ -298,6 +298,7 @@ class TrackLoader:
             ease=Interpolation(entry.ease or self.content.interpolation),
             label=entry.label or entry.pose or "",
             line=self.source.line((*self.place, "keyframes", index)),
+            place=(*self.place, "keyframes", index),
         )
 
     def _pose(self, index: int, name: str | None) -> Mapping[str, float]:

@@ -15,6 +15,7 @@ from msgspec import Struct, field
 
 from lss_motion.files.source import Located
 from lss_motion.files.texts import counted
+from lss_motion.files.yaml_source import Location
 from lss_motion.robot.on_fault import Escalations
 
 KEYFRAMES_MAX: Final = 10_000
@@ -68,10 +69,11 @@ class Keyframe(Located, frozen=True, kw_only=True):
     """Joint angles to be reached at one instant, and kept for `hold_s`.
 
     `at_s` is absolute (relative times are resolved by the loader) and None for every keyframe
-    of a `fastest` sequence that gives no times. `line` is the line in the file, from 1.
+    of a `fastest` sequence that gives no times. `line` is the line in the file, from 1, and `place`
+    the way to it, as `("tracks", "jaw", "keyframes", 3)`.
     """
 
-    _where: ClassVar = frozenset({"line"})
+    _where: ClassVar = frozenset({"line", "place"})
     deg: Mapping[str, float]
     at_s: float | None = None
     hold_s: float = 0.0
@@ -86,6 +88,7 @@ class Keyframe(Located, frozen=True, kw_only=True):
     """How the named joints travel *to* this keyframe; the default of the file is applied."""
     label: str = ""
     line: int | None = None
+    place: Location = ()
 
 
 class SoundStyle(Struct, frozen=True, kw_only=True):

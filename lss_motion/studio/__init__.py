@@ -13,7 +13,11 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `hub`         | the clients, which one operates, the order of operations   | `studio`, `app`    |
 | `client`      | what waits for one client, and how much it may send        | `hub`, `app`       |
 | `desk`        | carries operations out                                     | `hub`              |
-| `document`    | the open file: revision, errors, the last good plan        | `desk`, `studio`   |
+| `document`    | the open file: edits, revision, errors, last good plan     | `desk`, `studio`   |
+| `operations`  | operations on files → their new texts, pure                | `document`         |
+| `allowed`     | what no edit may make of a file                            | `document`         |
+| `history`     | undo and redo across files                                 | `document`         |
+| `drafts`      | edited texts and the disk: saved, recovered, compared      | `document`         |
 | `planning`    | the server's end of the planner: the latest request wins   | `studio`           |
 | `planner`     | the process that plans: file → plan, view, job             | `planning`         |
 | `robot_view`  | a robot as JSON, for the pages                             | `planner`          |

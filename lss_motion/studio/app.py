@@ -19,10 +19,10 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocketDisconnect
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import read_data
 from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie, proved
 from lss_motion.studio.client import Allowance, Client
 from lss_motion.studio.entrance import admit
+from lss_motion.studio.planner import finite_json
 from lss_motion.studio.web import json_body
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def make_app(studio: Studio, more: Sequence[BaseRoute] = ()) -> Starlette:
         Route("/view/{plan}.json", _view),
         Route("/files/{path:path}", _file),
         Route("/text/{path:path}", _text),
+        Route("/model/{revision:int}.json", _model),
         Route("/stop", _stop, methods=["POST"]),
         Route("/estop", _stop, methods=["POST"]),
         WebSocketRoute("/ws", _socket),
@@ -208,7 +209,18 @@ async def _text(request: Request) -> Response:
         return JSONResponse({"error": "this needs the role operate; you may look"}, 403)
     if path.suffix.lower() not in (".yaml", ".yml") or not document.is_made_of(path):
         return JSONResponse({"error": "no file of this show"}, 404)
-    return Response(read_data(path), media_type="text/plain; charset=utf-8")
+    return Response(document.text(path), media_type="text/plain; charset=utf-8")
+
+
+async def _model(request: Request) -> Response:
+    """Return what the files of the show hold now, to who may operate."""
+    role: Role = request.scope["role"]
+    if role < Role.OPERATE:
+        return JSONResponse({"error": "this needs the role operate; you may look"}, 403)
+    document = _studio(request).document
+    if request.path_params["revision"] != document.revision:
+        return JSONResponse({"error": f"the newest revision is {document.revision}"}, 404)
+    return Response(finite_json(document.model()), media_type="application/json")
 
 
 async def _socket(websocket: WebSocket) -> None:

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.edit_messages import EditOperation
 from lss_motion.playing.remote.stage_messages import StageOperation
 from lss_motion.studio.planner import file_digest
 from lss_motion.studio.playing import PlayerProcess
@@ -126,6 +127,14 @@ class Desk:
 
     def obey(self, operation: m.AnyOperation, key: int) -> bool:
         """Carry an operation out; see `hub.Desk`."""
+        assert self.document is not None
+        if isinstance(operation, EditOperation):
+            self.document.edit(operation)
+            return True
+        return self._obey(operation, key)
+
+    def _obey(self, operation: m.AnyOperation, key: int) -> bool:
+        """Carry out what is asked of show, robot and server."""
         assert self.document is not None
         match operation:
             case m.Play():

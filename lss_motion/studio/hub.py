@@ -2,7 +2,8 @@
 
 Operations are obeyed in the order in which they are received, in one thread. Every client may stop;
 everything else needs a role and the lease, which one client has. A free lease goes to the first
-that operates. `Hub` knows no socket and no clock: time is an argument.
+that operates. Edits of files need the role alone: their revisions keep two clients apart. `Hub`
+knows no socket and no clock: time is an argument.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.edit_messages import EditOperation
 from lss_motion.studio.access import Role
 from lss_motion.studio.client import TELEMETRY, Client
 
@@ -25,7 +27,7 @@ OPERATOR_GRACE_S: Final = 3.0
 CLIENTS_MAX: Final = {Role.VIEW: 32, Role.OPERATE: 16, Role.EDIT: 16}
 """More of a role are refused; no role takes a place of another. Chosen: a class of students that
 look, and a few persons at the robot, each with some pages."""
-EDITS: Final = (m.PoseSave, m.Pair)
+EDITS: Final = (m.PoseSave, m.Pair, EditOperation)
 """Operations that need the role `edit`."""
 ALWAYS: Final = (m.Stop, m.Estop, m.Beat)
 """Operations that need no lease and no role."""
@@ -142,9 +144,9 @@ class Hub:
         """Obey the operation of a client; answer it, now or later."""
         self._heard_s[client.number] = now_s
         try:
-            operation = m.parse_operation(text)
+            operation = m.parse_operation(text, _most_bytes(client))
         except InputError as refused:
-            self._refuse(client, _id_of(text), str(refused))
+            self._refuse(client, _id_of(text, _most_bytes(client)), str(refused))
             return
         if isinstance(operation, m.Beat):
             return
@@ -215,6 +217,8 @@ class Hub:
         if isinstance(operation, m.Lease):
             self._lease(client, operation)
             return True
+        if isinstance(operation, EditOperation):
+            return self.desk.obey(operation, key)
         if self._holder is None:
             self._give_lease(client.number)
         if self._holder != client.number:
@@ -258,9 +262,14 @@ class Hub:
         return m.Links(clients=len(self.clients))
 
 
-def _id_of(text: str | bytes) -> int:
+def _most_bytes(client: Client) -> int:
+    """Return how long an operation of a client may be."""
+    return m.EDIT_MAX_BYTES if client.role >= Role.EDIT else m.OPERATION_MAX_BYTES
+
+
+def _id_of(text: str | bytes, most_bytes: int) -> int:
     """Return the `id` of what is no operation, so that its sender knows what was refused."""
-    if len(text) > m.OPERATION_MAX_BYTES:
+    if len(text) > most_bytes:
         return 0
     try:
         value = json.loads(text)

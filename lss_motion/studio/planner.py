@@ -17,7 +17,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.files.source import read_data
+from lss_motion.files.source import read_data, with_edits
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import wait_for
 
@@ -49,6 +49,8 @@ class Request(Struct, frozen=True, kw_only=True):
     """Folder for the views of the shows of a stage, by plan."""
     figure: str | None = None
     """Of a stage with several: that of this computer, which conducts."""
+    texts: Mapping[Path, bytes] = field(default_factory=dict)
+    """What edited files have that is not saved yet, by their full paths."""
 
 
 class PlannerReply(Struct, frozen=True, kw_only=True):
@@ -89,6 +91,11 @@ class PlannerReply(Struct, frozen=True, kw_only=True):
 
 def reply_to(request: Request) -> PlannerReply:
     """Return the plan of a request, or what is wrong; raises nothing about the files."""
+    with with_edits(request.texts):
+        return _reply_to(request)
+
+
+def _reply_to(request: Request) -> PlannerReply:
     from lss_motion.planning.shows import is_program, is_robot_file
     from lss_motion.stage import is_stage_file
 
@@ -158,7 +165,7 @@ def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
     return {
         "robot_path": robot.path,
         "robot_digest": "" if robot.path is None else file_digest(robot.path),
-        "robot": _json(robot_view(robot, gait)),
+        "robot": finite_json(robot_view(robot, gait)),
         "live_job": packed(LiveJob(robot=robot, tasks=ServoTasks())),
         "scan_job": packed(ScanJob(robot=robot)),
         "port": ", ".join(bus.port for bus in robot.buses.values()),
@@ -197,7 +204,7 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     return {
         "files": tuple(sorted(files | sounds)),
         "plan": plan,
-        "view": _json(view_of(show, plan)),
+        "view": finite_json(view_of(show, plan)),
         "job": packed(job),
         "summary": tuple(program_lines(show)),
         "notes": tuple(_notes(show)),
@@ -306,7 +313,7 @@ def _write_view(show: Show | None, plan: str, folder: Path | None) -> None:
     path = None if folder is None else folder / f"{plan}.json"
     has_view = show is not None and show.sequence is not None
     if path is not None and show is not None and has_view and not path.exists():
-        path.with_suffix(".new").write_bytes(_json(view_of(show, plan)))
+        path.with_suffix(".new").write_bytes(finite_json(view_of(show, plan)))
         path.with_suffix(".new").replace(path)
 
 
@@ -328,7 +335,8 @@ def _problems(error: LssMotionError, path: Path) -> Iterator[tuple[str, int | No
         yield str(one.path or path), one.line, one.reason
 
 
-def _json(value: dict[str, object]) -> bytes:
+def finite_json(value: dict[str, object]) -> bytes:
+    """Return JSON; None in place of what is no finite number."""
     return json.dumps(_finite(value), ensure_ascii=False, separators=(",", ":")).encode()
 
 

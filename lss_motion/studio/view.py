@@ -279,6 +279,7 @@ def _keys(
                 "label": frame.label,
                 "ease": str(frame.ease),
                 "line": frame.line,
+                "place": frame.place,
                 "deg": {name: round(frame.deg[name], 4) for name in names},
             }
 

@@ -14,6 +14,7 @@ from msgspec import Struct
 from starlette.requests import ClientDisconnect
 
 from lss_motion.errors import InputError
+from lss_motion.playing.remote.schema import EDIT_MAX_BYTES
 from lss_motion.studio.entrance import Entrance, log_briefly
 
 if TYPE_CHECKING:
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
     from lss_motion.studio.entrance import Shares
 
 LOOPBACK: Final = "127.0.0.1"
-FRAME_MAX_BYTES: Final = 8192
-"""The largest message of a client; ours have less than 200 bytes."""
+FRAME_MAX_BYTES: Final = 2 * EDIT_MAX_BYTES
+"""The largest message of a client: an edit, with some room to refuse a larger one in words."""
 BODY_MAX_BYTES: Final = 4096
 """The largest body of a request: a token has 43 characters, an operation less than 200."""
-FRAMES_MAX: Final = 16
-"""Messages of a client that wait; then its connection is not read."""
+FRAMES_MAX: Final = 4
+"""Messages of a client that wait; then its connection is not read. Chosen: 64 clients that send the
+largest ones are 128 MB."""
 _IP_FREEBIND: Final = 15
 """Linux, ip(7)."""
 CLOSE_S: Final = 2

@@ -8,6 +8,7 @@ are kept, up to a bound.
 | file           | what it is                                               | used by |
 |----------------|----------------------------------------------------------|--------------------|
 | `schema`       | operations and events: the one schema                    | all below, `cli` |
+| `edit_messages` | operations on the files of a studio                     | `schema`, `studio` |
 | `message`      | base of all messages; where every joint is, as bytes     | `schema`, both ends |
 | `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end` |
 | `player_end`   | a show: applies operations, sends what happens           | `job` |

@@ -13,12 +13,15 @@ import msgspec
 from msgspec import Meta
 
 from lss_motion.errors import InputError
+from lss_motion.playing.remote import edit_messages as edit
 from lss_motion.playing.remote import message as base
 from lss_motion.playing.remote import stage_messages as stage
 from lss_motion.playing.remote.message import LAYOUT
 
 OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
+EDIT_MAX_BYTES: Final = 262_144
+"""The same of who may edit: 5000 keys of a selection, or the text of a long show."""
 PATH_MAX_CHARS: Final = 1000
 JOINTS_MAX: Final = 100
 TURN_MAX_DEG: Final = 36_000.0
@@ -232,6 +235,7 @@ AnyOperation = (
     | stage.StageWake
     | stage.Change
     | stage.EndAdded
+    | edit.AnyEdit
 )
 
 
@@ -449,6 +453,7 @@ class DocumentChanged(Event, frozen=True, kw_only=True, tag="document"):
     summary: tuple[str, ...]
     robot: int
     """Changes when `robot.json` does."""
+    editing: edit.Editing
 
 
 class LiveJoint(Message, frozen=True, kw_only=True):
@@ -615,10 +620,10 @@ def schema() -> dict[str, Any]:
     }
 
 
-def parse_operation(text: bytes | str) -> AnyOperation:
+def parse_operation(text: bytes | str, max_bytes: int = OPERATION_MAX_BYTES) -> AnyOperation:
     """Return the operation of a JSON text; raises `InputError` that says what is allowed."""
-    if len(text) > OPERATION_MAX_BYTES:
-        raise InputError(f"an operation has at most {OPERATION_MAX_BYTES} bytes")
+    if len(text) > max_bytes:
+        raise InputError(f"an operation has at most {max_bytes} bytes")
     try:
         return _OPERATIONS.decode(text)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:

@@ -81,14 +81,15 @@ def test_what_an_alias_shares_is_not_changed_behind_its_back(text, line):
 
 def test_a_comment_replaces_its_own_lines_of_the_last_time_only():
     text = "joints:\n  # a person's\n  # wrist found 1\n  # wrist found 2\n  wrist: {id: 4}\n"
-    changed = set_comment(text, ("joints", "wrist"), "wrist found", ["3"])
+    changed = set_comment(FILE, text, ("joints", "wrist"), "wrist found", ["3"])
     assert changed == "joints:\n  # a person's\n  # wrist found 3\n  wrist: {id: 4}\n"
 
 
 def test_a_comment_goes_to_the_end_where_there_is_no_line_of_its_own():
     text = "joints: {wrist: {id: 4}}\n"
-    once = set_comment(text, ("joints", "wrist"), "wrist found", ["1"])
+    once = set_comment(FILE, text, ("joints", "wrist"), "wrist found", ["1"])
     assert once == text + "# wrist found 1\n"
     assert (
-        set_comment(once, ("joints", "wrist"), "wrist found", ["2"]) == text + "# wrist found 2\n"
+        set_comment(FILE, once, ("joints", "wrist"), "wrist found", ["2"])
+        == text + "# wrist found 2\n"
     )
