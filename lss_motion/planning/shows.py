@@ -15,12 +15,12 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.trajectory.model import Trajectory
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.show.gait.model import Gait
     from lss_motion.show.model import Sequence
 
@@ -180,15 +180,18 @@ def compiled(
 def with_headroom(robot: Robot, *, accel: bool = True) -> Robot:
     """Return the robot with lower limits, for a show that a leader may speed up a little."""
     ratio = 1.0 - HEADROOM_RATIO
-    joints = {
-        name: replace(
-            joint,
-            speed_max_deg_s=ratio * joint.speed_max_deg_s,
-            accel_max_deg_s2=(ratio if accel else 1.0) * joint.accel_max_deg_s2,
-        )
-        for name, joint in robot.joints.items()
-    }
-    return replace(robot, joints=joints)
+
+    def slower(joints: Mapping[str, Joint]) -> dict[str, Joint]:
+        return {
+            name: replace(
+                joint,
+                speed_max_deg_s=ratio * joint.speed_max_deg_s,
+                accel_max_deg_s2=(ratio if accel else 1.0) * joint.accel_max_deg_s2,
+            )
+            for name, joint in joints.items()
+        }
+
+    return replace(robot, joints=slower(robot.joints), servos=slower(robot.servos))
 
 
 def walks(sequence: Sequence) -> bool:

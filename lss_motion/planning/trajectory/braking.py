@@ -54,8 +54,8 @@ class Brakes:
         points_s = window.grid_s[low : high + 1]
         segments = task.path.segments_of(0.5 * (points_s[:-1] + points_s[1:]))
         limits = task.accel_limits_deg_s2(segments) * FEASIBLE_RATIO
-        left, left_bend = task.path.slopes(points_s[:-1], segments)
-        right, right_bend = task.path.slopes(points_s[1:], segments)
+        left, left_bend = task.slopes(points_s[:-1], segments)
+        right, right_bend = task.slopes(points_s[1:], segments)
         doubled_s = 2.0 * np.diff(points_s)[:, None]
         left, right = left / limits / doubled_s, right / limits / doubled_s
         self.by_start = np.concatenate([left_bend / limits - left, -right], axis=1)

@@ -26,7 +26,6 @@ from msgspec.structs import replace
 
 from lss_motion.planning.trajectory.ahead import KeptKeys, kept_keys
 from lss_motion.planning.trajectory.braking import braked, mixed
-from lss_motion.planning.trajectory.curves import peaks
 from lss_motion.planning.trajectory.dues import EARLY_S, Dues
 from lss_motion.planning.trajectory.free_spans import MARGIN_CELLS, MARGIN_S, free_windows, without
 from lss_motion.planning.trajectory.solver import (
@@ -161,14 +160,14 @@ class _SweepPlace(Struct, frozen=True):
 
 def _shares(task: RateTask) -> FloatArray:
     """Return the share of the limits that each segment may use where the motion is not slow."""
-    speed, accel = peaks(task.path)
+    speed, accel = task.peaks()
     used = np.maximum(speed / task.speed_max_deg_s, accel / task.accel_max_deg_s2).max(axis=1)
     return np.where(np.abs(used - 1.0) < TIGHT_RATIO, 1.0, MARGIN_RATIO)
 
 
 def _rates(task: RateTask, held_s: FloatArray) -> FloatArray:
     """Return the largest steady rate of each segment; 1 where a hold is kept."""
-    speed, accel = peaks(task.path)
+    speed, accel = task.peaks()
     used = np.maximum(speed / task.speed_max_deg_s, np.sqrt(accel / task.accel_max_deg_s2))
     rates = 1.0 / np.clip(used.max(axis=1), 1.0 / PACE_ANCHOR_MAX, 1.0)  # A slow part is 1, too.
     middles_s = 0.5 * (task.path.knots_s[:-1] + task.path.knots_s[1:])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -66,22 +66,34 @@ def slow_spans(
         lost_s = spent_s - np.diff(dues.authored(window.grid_s))
         for first, end, by_s in _late_cells(window.grid_s, lost_s, spent_s, dues.keys_s):
             cells = slice(first, end)
-            column, limit, needed, allowed = _worst_limit(
+            column, limit, needed, at_s = _worst_limit(
                 task, window.grid_s[first : end + 1], spent_s[cells], lost_s[cells]
             )
             from_s, to_s = clock.times_of(window.grid_s[[first, end]]).tolist()
+            limits = task.speed_max_deg_s if limit == "speed" else task.accel_max_deg_s2
             found.append(
                 SlowSpan(
                     from_s=from_s,
                     to_s=to_s,
                     by_s=by_s,
-                    joint=joints[column],
                     limit=limit,
                     authored=needed,
-                    allowed=allowed,
+                    allowed=float(limits[column]),
+                    **_owner(task, joints, column, at_s),
                 )
             )
     return tuple(found)
+
+
+def _owner(task: RateTask, joints: Sequence[str], column: int, at_s: float) -> dict[str, Any]:
+    """Return what has the limit of a column, at a position of the path, as `SlowSpan` names it."""
+    if column < len(joints):
+        return {"joint": joints[column]}
+    assert task.servos is not None, "further columns are those of servos"
+    row = column - len(joints)
+    joint, servo = task.servos.labels()[row]
+    place = task.servos.place(row, task.path.evaluate(np.array([at_s]))[0])
+    return {"joint": joint, "servo": servo, "at_deg": tuple(place)}
 
 
 def _late_cells(
@@ -112,27 +124,26 @@ def _late_cells(
 def _worst_limit(
     task: RateTask, grid_s: FloatArray, spent_s: FloatArray, lost_s: FloatArray
 ) -> tuple[int, Literal["speed", "acceleration"], float, float]:
-    """Return the joint and limit that are exceeded most: joint, limit, authored and allowed value.
+    """Return what is exceeded most: column, limit, authored value and position.
 
     Speed is proportional to the rate and acceleration to its square; the square root of the
     acceleration ratio makes both comparable.
     """
-    path: Path = task.path
     steps_s = np.diff(grid_s)
     authored_rates = (steps_s / np.maximum(spent_s - lost_s, 1e-9))[:, None]
     # Slightly inside of both ends: at a knot the second derivative has two values.
     at_s = np.concatenate([grid_s[:-1] + share * steps_s for share in (0.001, 0.5, 0.999)])
     rates = np.tile(authored_rates, (3, 1))
-    first, second = path.slopes(at_s)
+    first, second = task.slopes(at_s)
     speeds, accels = np.abs(first) * rates, np.abs(second) * rates**2
     speed_ratios = (speeds / task.speed_max_deg_s).max(axis=0)
     accel_ratios = np.sqrt((accels / task.accel_max_deg_s2).max(axis=0))
     by_speed, by_accel = int(speed_ratios.argmax()), int(accel_ratios.argmax())
     if speed_ratios[by_speed] >= accel_ratios[by_accel]:
-        needed, allowed = speeds[:, by_speed].max(), task.speed_max_deg_s[by_speed]
-        return by_speed, "speed", float(needed), float(allowed)
-    needed, allowed = accels[:, by_accel].max(), task.accel_max_deg_s2[by_accel]
-    return by_accel, "acceleration", float(needed), float(allowed)
+        most = int(speeds[:, by_speed].argmax())
+        return by_speed, "speed", float(speeds[most, by_speed]), float(at_s[most])
+    most = int(accels[:, by_accel].argmax())
+    return by_accel, "acceleration", float(accels[most, by_accel]), float(at_s[most])
 
 
 def marks(

@@ -62,8 +62,9 @@ def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> st
                         joint.accel_max_deg_s2,
                         joint.jerk_max_deg_s3,
                     )
-                    for joint in robot.joints.values()
+                    for joint in (*robot.joints.values(), *robot.servos.values())
                 ],
+                *robot.mechanisms.values(),
             )
         ).encode()
     )

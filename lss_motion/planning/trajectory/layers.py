@@ -25,12 +25,12 @@ from lss_motion.planning.trajectory.model import PathMotion, Trajectory, with_sp
 from lss_motion.planning.trajectory.playlist import all_cues, all_marks
 from lss_motion.planning.trajectory.retime import (
     authored_clock,
+    rate_task,
     timed_windows,
     united,
     with_reserve,
 )
 from lss_motion.planning.trajectory.smoothing import even_clock, jerk_limits, limited, smooth_too
-from lss_motion.planning.trajectory.solver import RateTask
 from lss_motion.planning.trajectory.tracks import PERIOD_MAX_S, common_period_s
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.show.parts import time_keepers
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.planning.trajectory.model import Mark, PathClock, SlowSpan
-    from lss_motion.planning.trajectory.solver import RateWindow
+    from lss_motion.planning.trajectory.solver import RateTask, RateWindow
     from lss_motion.robot.model import Robot
     from lss_motion.show.model import Cue, Layer, Sequence
 
@@ -259,14 +259,13 @@ def _kept_name(
 def _slowed(path: Path, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
     """Return the sum along its path, slowed only where it exceeds a limit."""
     jerk_max = jerk_limits(show, robot, total.joints)
-    limits = [robot.joints[name] for name in total.joints]
-    task = RateTask(
-        path=path,
-        speed_max_deg_s=np.array([joint.speed_max_deg_s for joint in limits]),
-        accel_max_deg_s2=np.array([joint.accel_max_deg_s2 for joint in limits]),
-        knot_caps={},
-        cells_min=CELLS_MIN,
-    )
+    task = rate_task(path, total.joints, robot, knot_caps={}, cells_min=CELLS_MIN)
+    if task.servos is not None and np.isfinite(jerk_max).any():
+        raise InputError(
+            "a show with layers cannot keep a jerk limit of joints that stand behind a linkage or "
+            "a differential; remove jerk_max_deg_s3 or smooth_s, or the layers",
+            path=show.path,
+        )
     trajectory = kept_plan(
         _cache_name(task, show, total, robot),
         lambda: _retimed(task, total, show, robot, jerk_max),
@@ -294,12 +293,12 @@ def _placed(
 
 
 def _unbounded(robot: Robot) -> Robot:
-    """Return the robot without ranges: the verifier checks the range of the sum instead."""
+    """Return the robot without ranges and mechanisms: the limits of the sum are checked instead."""
     joints = {
         name: replace(joint, position_min_deg=-OFFSET_REACH_DEG, position_max_deg=OFFSET_REACH_DEG)
         for name, joint in robot.joints.items()
     }
-    return replace(robot, joints=joints)
+    return replace(robot, joints=joints, mechanisms={}, servos={})
 
 
 def _knots_count(total: LayeredSum) -> float:
@@ -366,9 +365,12 @@ def _cache_name(task: RateTask, show: Sequence, total: LayeredSum, robot: Robot)
     for array in (task.path.knots_s, task.path.coefficients):
         digest.update(np.ascontiguousarray(array).tobytes())
     joints = [replace(joint, settings={}) for joint in robot.joints.values()]
+    joints += [replace(servo, settings={}) for servo in robot.servos.values()]
     parts = [total.base, *(placed.trajectory for placed in total.layers)]
     found = [(part.marks, part.stretched) for part in parts]
-    digest.update(repr((show.name, show.smooth_s, found, joints)).encode())
+    digest.update(
+        repr((show.name, show.smooth_s, found, joints, *robot.mechanisms.values())).encode()
+    )
     return digest.hexdigest()
 
 

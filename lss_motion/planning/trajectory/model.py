@@ -36,7 +36,7 @@ SEAM_DEG_S: Final = 0.5
 """The same for its speed. Chosen: half of 1 deg/s, above which a seam can be seen."""
 
 
-class SlowSpan(Struct, frozen=True, kw_only=True):
+class SlowSpan(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A span that is slower than authored, because of a limit. Times are planned times."""
 
     from_s: float
@@ -49,6 +49,10 @@ class SlowSpan(Struct, frozen=True, kw_only=True):
     need."""
     allowed: float
     """The limit of the joint, in the same unit."""
+    servo: str = ""
+    """The servo that has the limit, as a person calls it; empty: the joint has it."""
+    at_deg: tuple[tuple[str, float], ...] = ()
+    """Then, where the joints are at which most is needed."""
 
     @property
     def unit(self) -> str:
@@ -56,11 +60,18 @@ class SlowSpan(Struct, frozen=True, kw_only=True):
         return {"speed": "deg/s", "acceleration": "deg/s²", "jerk": "deg/s³"}[self.limit]
 
     @property
+    def owner(self) -> str:
+        """What has the limit, and where: a joint, or a servo."""
+        if not self.servo:
+            return f"joint {self.joint!r}"
+        return f"{self.servo}, at {', '.join(f'{name} {deg:.0f}' for name, deg in self.at_deg)},"
+
+    @property
     def text(self) -> str:
         """How much longer the span takes than the file sets, and why."""
         return (
-            f"{self.from_s:.3f} s to {self.to_s:.3f} s takes {self.by_s:.3f} s longer: joint "
-            f"{self.joint!r} would need {self.limit} {self.authored:.0f} {self.unit}, "
+            f"{self.from_s:.3f} s to {self.to_s:.3f} s takes {self.by_s:.3f} s longer: "
+            f"{self.owner} would need {self.limit} {self.authored:.0f} {self.unit}, "
             f"allowed {self.allowed:g} {self.unit}"
         )
 

@@ -17,7 +17,7 @@ from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, Trajectory, 
 from lss_motion.planning.trajectory.playlist import planned_cues
 from lss_motion.robot.model import Robot
 from lss_motion.show.keyframes import at_speed
-from lss_motion.show.model import Sequence, Timing
+from lss_motion.show.model import Interpolation, Sequence, Timing
 
 
 def plan(sequence: Sequence, robot: Robot) -> Trajectory:
@@ -34,8 +34,7 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
 
 def _check_limits(robot: Robot) -> None:
     """Raise `InputError` where a limit was not read from the servo, or its turn is unknown."""
-    robot.require_servos("planning")
-    robot.require_turns(robot.joints.values())
+    robot.require_turns(robot.servo_robot.joints.values())
     for joint in robot.unread:
         raise InputError(
             f"joint {joint.name!r}: its robot file leaves {' and '.join(sorted(joint.unread))} to "
@@ -112,6 +111,8 @@ def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
 def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
     """Return the plan of joints that keep their time beside that of the others."""
     keyed = {name for frame in track.keyframes for name in frame.deg}
+    if robot.servos:
+        _check_mechanisms(track, keyed, robot)
     if not (kept := keyed & track.keeps_time):
         return _planned_angles(replace(track, keeps_time=frozenset(), loop_span_s=None), robot)
     if kept == keyed:
@@ -126,6 +127,37 @@ def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
     trajectory = beside(slow, own, robot, are_kept)
     verify(trajectory, robot, has_parts=False)
     return trajectory
+
+
+def _check_mechanisms(track: Sequence, keyed: set[str], robot: Robot) -> None:
+    """Raise `InputError` where keyframes leave open where a mechanism is, or cannot plan it."""
+    for mechanism in robot.mechanisms.values():
+        own, line = keyed & {*mechanism.joints}, track.keyframes[0].line
+        missing = [name for name in mechanism.joints if own and name not in own]
+        if missing:
+            raise InputError(
+                f"the keyframes move joint {min(own)!r} and not {missing[0]!r}, which has the same "
+                f"servos (mechanism {mechanism.name!r}): give {missing[0]} an angle in the first "
+                f"keyframe as well, such as 0",
+                path=track.path,
+                line=line,
+            )
+        if own and own & track.keeps_time and not mechanism.is_scaled:
+            raise InputError(
+                f"joint {min(own & track.keeps_time)!r} cannot keep its time yet: the limits of "
+                f"its servos depend on where it is (mechanism {mechanism.name!r}). Remove it from "
+                f"`keep: time`, or give its keys more time",
+                path=track.path,
+                line=line,
+            )
+        is_sent = any(frame.ease is Interpolation.COMMAND for frame in track.keyframes)
+        if own and is_sent and any(own & {*frame.deg} for frame in track.keyframes):
+            raise InputError(
+                f"the ease command is a move of a servo, and joint {min(own)!r} is none: it stands "
+                f"behind mechanism {mechanism.name!r}. Choose another ease",
+                path=track.path,
+                line=line,
+            )
 
 
 def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Trajectory:

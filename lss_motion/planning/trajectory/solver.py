@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.curves import peaks
 from lss_motion.show.splines import distinct, runs
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.planning.trajectory.curves import Path
+    from lss_motion.planning.trajectory.servo_rows import ServoRows
 
     FloatArray = NDArray[np.float64]
 
@@ -146,6 +148,21 @@ class RateTask(Struct, frozen=True, kw_only=True):
     """Share of the acceleration limit that each segment and joint may use; None: all of it."""
     cells_min: int = CELLS_MIN
     """Least number of cells of a segment; smaller for paths with dense knots."""
+    servos: ServoRows | None = None
+    """Servos with limits of their own, whose columns come after those of the joints."""
+
+    def slopes(
+        self, path_s: FloatArray, segments: NDArray[np.intp] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the first and the second derivative of all columns; see `Path.slopes`."""
+        first, second = self.path.slopes(path_s, segments)
+        if self.servos is None:
+            return first, second
+        return self.servos.slopes(self.path.evaluate(path_s), first, second)
+
+    def peaks(self) -> tuple[FloatArray, FloatArray]:
+        """Return the largest |first| and |second| derivative of each segment and column."""
+        return peaks(self.path) if self.servos is None else self.servos.peaks(self.path)
 
     def accel_limits_deg_s2(self, segments: NDArray[np.intp]) -> FloatArray:
         """Return the acceleration that joints may use in segments, (n, joints) or (joints,)."""
@@ -324,7 +341,7 @@ def _squares(task: RateTask, grid: _CellGrid, start_max: float, end_max: float) 
         part = grid.part(low, low + BLOCK)
         allowed = task.speed_max_deg_s * (FEASIBLE_RATIO * part.shares[:, None])
         for side, at_s in enumerate((part.points_s[:-1], part.points_s[1:])):
-            speed = np.abs(path.slopes(at_s, part.segments)[0])
+            speed = np.abs(task.slopes(at_s, part.segments)[0])
             ratio = np.maximum((speed / allowed).max(axis=1), 1.0 / RATE_FREE)
             place = slice(low + side, low + side + len(at_s))
             caps[place] = np.minimum(caps[place], 1.0 / ratio**2)
@@ -342,15 +359,15 @@ def _squares(task: RateTask, grid: _CellGrid, start_max: float, end_max: float) 
     def cells_of(low: int, high: int) -> Cells:
         part = grid.part(low, high)
         limits = task.accel_limits_deg_s2(part.segments) * (FEASIBLE_RATIO * part.shares[:, None])
-        left, left_bend = path.slopes(part.points_s[:-1], part.segments)
-        right, right_bend = path.slopes(part.points_s[1:], part.segments)
+        left, left_bend = task.slopes(part.points_s[:-1], part.segments)
+        right, right_bend = task.slopes(part.points_s[1:], part.segments)
         return Cells(left / limits, right / limits, left_bend / limits, right_bend / limits)
 
     squares = fastest_squares(
         points_s,
         cells_of,
         caps,
-        joints=path.coefficients.shape[2],
+        joints=len(task.speed_max_deg_s),
         start_max=start_max,
         end_max=end_max,
     )
@@ -391,7 +408,7 @@ def _worst_use(
     accel_max = task.accel_limits_deg_s2(segments)
     for share in shares:
         square = np.maximum(starts + share * growth, 0.0)[:, None]
-        first, second = task.path.slopes(from_s + share * steps_s, segments)
+        first, second = task.slopes(from_s + share * steps_s, segments)
         second *= square
         second += first * slopes
         first *= np.sqrt(square)

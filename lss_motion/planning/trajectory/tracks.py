@@ -153,7 +153,7 @@ def _free(
 
 def _stop_square(task: RateTask, knot: int) -> float:
     """Return the largest squared rate at a stop: infinite where the path is at rest, else 0."""
-    slopes = np.abs(task.path.slopes(task.path.knots_s[knot : knot + 1])[0])
+    slopes = np.abs(task.slopes(task.path.knots_s[knot : knot + 1])[0])
     return math.inf if np.all(slopes <= REST_RATIO * task.speed_max_deg_s) else 0.0
 
 

@@ -17,12 +17,13 @@ from msgspec.structs import replace
 from lss_motion.errors import PlanningError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from lss_motion.planning.trajectory.model import Pass, Trajectory
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.mechanism import Mechanism
+    from lss_motion.robot.model import Joint, Robot
 
     FloatArray = NDArray[np.float64]
 
@@ -138,7 +139,10 @@ class _Checks:
     """The limits of the joints, and the largest shares of them found so far."""
 
     def __init__(self, trajectory: Trajectory, robot: Robot) -> None:
+        self.servos = _servos(trajectory.joints, robot)
         joints = [robot.joints[name] for name in trajectory.joints]
+        joints += [servo for mechanism in self.servos for servo in mechanism.servos]
+        self.names = tuple(joint.name for joint in joints)
         self.trajectory = _shortened(trajectory)
         self.low_deg = np.array([joint.position_min_deg for joint in joints])
         self.high_deg = np.array([joint.position_max_deg for joint in joints])
@@ -155,7 +159,7 @@ class _Checks:
     def include(self, found: Verification) -> None:
         """Merge the result of a part of the trajectory."""
         self.samples += found.samples
-        names = self.trajectory.joints
+        names = self.names
         for worst, ratio, joint, at_s in (
             (self.speed, found.speed_ratio, found.speed_joint, found.speed_at_s),
             (self.accel, found.accel_ratio, found.accel_joint, found.accel_at_s),
@@ -208,14 +212,15 @@ class _Checks:
             (self.jerk, self.jerk_deg_s3, "jerk", "deg/s³"),
         ):
             if worst.ratio > EXCESS_MAX_RATIO:
-                joint, limit = self.trajectory.joints[worst.column], float(limits[worst.column])
+                limit = float(limits[worst.column])
+                joint, owner = self._owner(worst.column, worst.at_s)
                 raise PlanningError(
-                    f"joint {joint!r} would reach {what} {worst.ratio * limit:.6g} {unit} "
+                    f"{owner} would reach {what} {worst.ratio * limit:.6g} {unit} "
                     f"at {worst.at_s:.3f} s, allowed {limit:g} {unit}",
                     joint=joint,
                     time_s=worst.at_s,
                 )
-        names = self.trajectory.joints
+        names = self.names
         return Verification(
             samples=self.samples,
             speed_ratio=self.speed.ratio,
@@ -231,6 +236,8 @@ class _Checks:
 
     def _sampled(self, times_s: FloatArray) -> FloatArray:
         deg = self.trajectory.sample(times_s)
+        if self.servos:
+            deg = np.concatenate([deg, *(one.angles(deg) for one in self.servos)], axis=1)
         self.samples += len(times_s)
         low_deg, high_deg = self.low_deg - RANGE_SLACK_DEG, self.high_deg + RANGE_SLACK_DEG
         # With NaN both comparisons are false, so that NaN counts as outside.
@@ -239,20 +246,79 @@ class _Checks:
         if not is_within.all():
             is_inside = (deg >= low_deg) & (deg <= high_deg)
             row, column = divmod(int(np.argmin(is_inside)), deg.shape[1])
-            joint, at_s = self.trajectory.joints[column], float(times_s[row])
+            at_s = float(times_s[row])
+            joint, owner = self._owner(column, at_s)
             raise PlanningError(
-                f"joint {joint!r} would be at {deg[row, column]:.3f} deg at {at_s:.3f} s, allowed "
+                f"{owner} would be at {deg[row, column]:.3f} deg at {at_s:.3f} s, allowed "
                 f"{self.low_deg[column]:g} to {self.high_deg[column]:g} deg",
                 joint=joint,
                 time_s=at_s,
             )
         return deg
 
+    def _owner(self, column: int, at_s: float) -> tuple[str, str]:
+        """Return a joint, and what has the limit of a column: it, or a servo at its place."""
+        names = self.trajectory.joints
+        if column < len(names):
+            return names[column], f"joint {names[column]!r}"
+        here = dict(zip(names, self.trajectory.sample(np.array([at_s]))[0].tolist(), strict=True))
+        for one in self.servos:
+            if self.names[column] in one.mechanism.servos:
+                place = ", ".join(f"{name} {here[name]:.1f}" for name in one.mechanism.joints)
+                label = one.mechanism.servo_label(self.names[column])
+                return one.mechanism.joints[0], f"{label}, at {place} deg,"
+        raise AssertionError("every further column is a servo of a mechanism")
+
     def _noise_deg(self, times_s: FloatArray) -> FloatArray:
         """Return the largest error of a difference of angles by rounding of times and angles."""
         latest_s = max(1.0, float(np.abs(times_s).max()))
         reach_deg = np.maximum(np.abs(self.low_deg), np.abs(self.high_deg))
-        return np.asarray(ROUNDING * (latest_s * self.speed_deg_s + reach_deg))
+        noise_deg = np.asarray(ROUNDING * (latest_s * self.speed_deg_s + reach_deg))
+        for one in self.servos:  # They get the errors of their joints, too.
+            first = self.names.index(one.mechanism.servos[0])
+            noise_deg[first : first + len(one.servos)] += one.gain @ noise_deg[one.columns]
+        return noise_deg
+
+
+class _ServoAngles(Struct, frozen=True):
+    """The servos of a mechanism, which follow from some columns of joints by angles alone."""
+
+    mechanism: Mechanism
+    servos: tuple[Joint, ...]
+    columns: list[int]
+    gain: FloatArray
+    """The largest |g'| over the ranges, (servos, joints)."""
+
+    def angles(self, joint_deg: FloatArray) -> FloatArray:
+        return self.mechanism.transmission.servo_deg(joint_deg[:, self.columns])
+
+
+def _servos(joints: Sequence[str], robot: Robot) -> list[_ServoAngles]:
+    """Return the servos behind the mechanisms of these joints.
+
+    Raises `PlanningError` where the trajectory moves only some joints of one: then nothing says
+    where its servos are.
+    """
+    if not robot.servos:
+        return []
+    from lss_motion.robot.mechanisms import places_of
+
+    found = []
+    for mechanism in robot.mechanisms.values():
+        moved = [name for name in mechanism.joints if name in joints]
+        if moved and len(moved) < len(mechanism.joints):
+            raise PlanningError(
+                f"joint {moved[0]!r} moves without the other joints of mechanism "
+                f"{mechanism.name!r}, {', '.join(mechanism.joints)}; they have the same servos",
+                joint=moved[0],
+            )
+        if moved:
+            own = [robot.joints[name] for name in mechanism.joints]
+            gain = np.abs(mechanism.transmission.slopes(places_of(own))).max(axis=0)
+            columns = [joints.index(name) for name in mechanism.joints]
+            servos = tuple(robot.servos[name] for name in mechanism.servos)
+            found.append(_ServoAngles(mechanism, servos, columns, gain))
+    return found
 
 
 def extreme(of: np.ufunc, samples: FloatArray) -> FloatArray:
