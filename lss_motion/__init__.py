@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.remote.handle import Handle, start
     from lss_motion.playing.remote.player_end import LossRule
     from lss_motion.playing.report import Report
+    from lss_motion.playing.targets import TargetRule
     from lss_motion.robot.model import Robot
     from lss_motion.show.model import Keyframe, Sequence
 
@@ -84,6 +85,7 @@ __all__ = [
     "Report",
     "Robot",
     "Sequence",
+    "TargetRule",
     "Trajectory",
     "calibrate",
     "check",
@@ -110,6 +112,7 @@ _HOME = {
     "Report": "lss_motion.playing.report",
     "Robot": "lss_motion.robot.model",
     "Sequence": "lss_motion.show.model",
+    "TargetRule": "lss_motion.playing.targets",
     "Trajectory": "lss_motion.planning.trajectory.model",
     "calibrate": "lss_motion.maintenance.api",
     "check": "lss_motion.playing.api",

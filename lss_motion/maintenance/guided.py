@@ -233,7 +233,7 @@ class Identification(Guide):
 
 
 class ServoTasks(Struct, frozen=True):
-    """Calibration and identification for a live robot (`remote.live_end.GuidedTasks`)."""
+    """Calibration and identification for a live robot (`playing.live_end.GuidedTasks`)."""
 
     def joint(self, robot: Robot, name: str) -> Joint:
         """Return the joint; raises `InputError` for one that is unknown or that cannot be read."""

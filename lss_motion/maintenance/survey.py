@@ -27,10 +27,10 @@ from lss_motion.playing.discovery import (
     ServoIdentity,
     presence_steps,
 )
+from lss_motion.playing.live_end import live_state
 from lss_motion.playing.player.echo import echo_text
 from lss_motion.playing.player.unasked import unasked_text, unreadable_text
 from lss_motion.playing.remote import schema as m
-from lss_motion.playing.remote.live_end import live_state
 from lss_motion.protocol.constants import ID_MAX, Family, SafeModeCause, Status
 from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 

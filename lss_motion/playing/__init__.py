@@ -7,7 +7,9 @@
 | `walking/`          | a gait that is steered while playing           | `cli.walk`               |
 | `api.py`            | `lss.load_robot`, `lss.play`, …                | users                    |
 | `run.py`            | one run, of a show or of many, on open ports   | `api`, `cli`, `stage`    |
-| `live.py`           | `lss.connect`: a robot without a show          | users, `remote`          |
+| `targets.py`        | joints follow targets: the one limiter         | `remote`, `live`         |
+| `live.py`           | `lss.connect`: a robot without a show          | users, `live_end`        |
+| `live_end.py`       | the same for a client: jog, poses, limp, hold  | `studio`                 |
 | `connection.py`     | the open ports of a robot                      | `run`, `live`, `cli`     |
 | `discovery.py`      | servos on a bus, their condition, their limits | `connection`, `cli`      |
 | `hands_on.py`       | joints moved by hand: limp, held, read         | `live`, `cli`            |

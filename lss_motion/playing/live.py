@@ -2,12 +2,14 @@
 
     with lss.connect(robot) as live:
         live.move_to({"elbow": 30}, 1.5)      # within the limits; returns when it is there
+        live.set_target({"elbow": 31})        # at any rate; returns at once, the joint follows
         live.read()                           # {'base': 0.1, 'elbow': 29.9, …}
         live.limp("elbow")                    # it falls: hold it
 
 Each move is a small show: it is planned, verified and compiled as any other, and the servos have
-their own settings again after it. When the block is left, by an exception too, the robot gets its
-safe end.
+their own settings again after it. While joints follow targets, a process of its own plays (as
+`remote.handle.start`), and the ports are with it until another call needs them. When the block is
+left, by an exception too, the robot gets its safe end.
 """
 
 from __future__ import annotations
@@ -18,16 +20,23 @@ from typing import TYPE_CHECKING, Self, TypeVar
 
 from msgspec.structs import replace
 
-from lss_motion.errors import BusError, InputError, PlaybackError
+from lss_motion.errors import BusError, InputError, LssMotionError, PlaybackError
 from lss_motion.files.texts import known_names
 from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
 from lss_motion.playing.discovery import limit_questions, robot_from_answers
 from lss_motion.playing.player import handshake
+from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.handshake import Item
 from lss_motion.playing.player.health import turn_text
 from lss_motion.playing.player.player import Player
 from lss_motion.playing.player.repertoire import Repertoire
+from lss_motion.playing.targets import (
+    TargetLimiter,
+    TargetRule,
+    live_program,
+    target_values,
+)
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.model import HALF_TURN_DEG, Robot
@@ -40,6 +49,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.hands_on import HandsOn
     from lss_motion.playing.player.events import Event
+    from lss_motion.playing.remote.handle import Handle
     from lss_motion.playing.runner import Controls
     from lss_motion.robot.model import Joint
 
@@ -47,32 +57,43 @@ T = TypeVar("T")
 
 
 def connect(
-    robot: Robot, *, port: str | None = None, is_virtual: bool = False, seed: int = 0
+    robot: Robot,
+    *,
+    port: str | None = None,
+    is_virtual: bool = False,
+    seed: int = 0,
+    targets: TargetRule | None = None,
 ) -> Live:
     """Open the ports of `robot` and check every servo; nothing moves.
 
     `port` overrides that of the file. `is_virtual` needs a simulated robot, for which time then
-    passes as fast as the computer can. Raises `BusError` when a port or a servo cannot be reached,
+    passes as fast as the computer can. `targets` says how joints follow `Live.set_target`.
+    Raises `BusError` when a port or a servo cannot be reached,
     and `InputError` or `PlaybackError` when the robot is not what the file says or not fit to move.
     """
-    return Live(with_port(robot, port), is_virtual=is_virtual, seed=seed)
+    return Live(with_port(robot, port), is_virtual=is_virtual, seed=seed, targets=targets)
 
 
 class Live:
     """An open robot. A context manager; `close` gives the robot its safe end."""
 
-    def __init__(self, robot: Robot, *, is_virtual: bool, seed: int) -> None:
+    def __init__(
+        self, robot: Robot, *, is_virtual: bool, seed: int, targets: TargetRule | None = None
+    ) -> None:
+        """Open the ports; see `connect`."""
         if is_virtual and not is_simulated(robot):
             raise InputError("is_virtual needs the simulated bus: use it with port='sim://'")
-        clock = VirtualClock() if is_virtual else MonotonicClock()
+        self._clock = VirtualClock() if is_virtual else MonotonicClock()
+        self._targets, self._seed = targets or TargetRule(), seed
+        self._follower: Handle | None = None
+        """What leads the joints to targets in a process of its own, which has the ports."""
         self.warnings: list[str] = []
         """What a person may want to mend, found when the robot was checked."""
         self._limp: dict[str, Joint] = {}
         self._held_deg: dict[str, float] = {}
         """Where joints that hold stood last, in joint degrees."""
         self._is_closed = False
-        self._connection = connections.connect(robot.buses, robot=robot, clock=clock, seed=seed)
-        self._connection.__enter__()
+        self._opened = self._open(robot)
         try:
             if robot.unread:
                 robot = robot_from_answers(robot, self._connection.ask(limit_questions(robot)))
@@ -85,8 +106,28 @@ class Live:
         self._is_failed = False
         atexit.register(self.close)
 
+    def _open(self, robot: Robot) -> connections.Connection:
+        """Open the ports; `_connection` gives them to who asks or moves servos."""
+        opened = connections.connect(robot.buses, robot=robot, clock=self._clock, seed=self._seed)
+        return opened.__enter__()
+
+    @property
+    def _connection(self) -> connections.Connection:
+        """The open ports, which are taken back if joints follow targets."""
+        if self._follower is not None:
+            self._end_following()
+        return self._opened
+
     def read(self) -> dict[str, float]:
-        """Return where every joint is, in joint degrees; raises `BusError` if one does not say."""
+        """Return where every joint is, in joint degrees; raises `BusError` if one does not say.
+
+        Of joints that follow targets it is the last reading, or else where they should be.
+        """
+        if self._follower is not None and (known := self._follower.readings()):
+            return {
+                name: round(one.predicted_deg if one.read_deg is None else one.read_deg, 3) + 0.0
+                for name, one in known.items()
+            }
         joints = list(self.robot.joints.values())
         answers = self._ask(handshake.position_queries(joints))
         standing_deg = handshake.standing_deg(joints, answers)
@@ -144,6 +185,85 @@ class Live:
         self._held_deg |= {name: here[name] for name in here if name not in self._limp} | targets
         return program.duration_s
 
+    def set_target(self, deg: Mapping[str, float]) -> None:
+        """Let these joints follow targets that come at any rate, each within its limits.
+
+        The newest target of each joint counts; one out of the range counts as its end. The first
+        call returns when the servos are ready, which takes about a second, all others at once.
+        Without a target for 200 ms all joints brake and hold, and go on with the next one;
+        `TargetRule` changes that. Any other method but `read` ends it first, within the limits. A
+        robot on `sim://` stands anew at its beginning then: `lss-motion sim` keeps one.
+
+        Raises `InputError` for an unknown joint or what is no angle, and what ended it before:
+        `PlaybackError` for a joint that did not follow, `BusError` for a lost port.
+        """
+        joints = self.robot.joints
+        values = target_values(deg, joints)
+        nearest = {
+            name: min(max(value, joints[name].position_min_deg), joints[name].position_max_deg)
+            for name, value in values.items()
+        }
+        if self._follower is not None and not self._follower.is_playing:
+            self._end_following()
+        is_new = any(name in self._limp for name in nearest)
+        if is_new and self._follower is not None:
+            self._end_following()
+        if self._follower is None:
+            self._begin_following(nearest)
+        assert self._follower is not None
+        self._follower.set_target(nearest)
+
+    def latency_s(self, name: str) -> float:
+        """Return the bound from `set_target` to the horn of a joint that begins to obey it.
+
+        It holds without faults, and while the computer keeps time: the way to the process that
+        plays, its tick, the moves of all joints of the bus, a query on its way, and servo and horn.
+        """
+        from lss_motion.playing.remote.handle import TARGET_EVERY_S
+
+        (joint,) = self._named((name,))
+        low_deg = {one.name: one.position_min_deg for one in self.robot.joints.values()}
+        program = live_program(self.robot, low_deg)
+        limiter = TargetLimiter(program, self.robot, self._targets)
+        return TARGET_EVERY_S + limiter.latency_s(joint.name)
+
+    def _begin_following(self, names: Iterable[str]) -> None:
+        """Give the ports to a process in which joints follow targets; those named are not limp."""
+        from lss_motion.playing.remote.handle import Handle
+        from lss_motion.playing.remote.job import Job
+        from lss_motion.playing.remote.schema import PhaseChanged
+
+        if self._clock.is_virtual:
+            raise InputError("set_target is for a robot in real time: connect without is_virtual")
+        here = self.read()
+        for name in names:
+            self._limp.pop(name, None)
+        joints = [joint for joint in self.robot.joints.values() if joint.name not in self._limp]
+        self._require_same_turn(joints, here)
+        robot = replace(self.robot, end="hold")
+        program = live_program(robot, {joint.name: here[joint.name] for joint in joints})
+        options = {"is_open": True, "seed": self._seed}
+        job = Job(shows=program, robot=robot, targets=self._targets, options=options)
+        self._opened.__exit__(None, None, None)
+        self._follower = follower = Handle(job, program)
+        for event in follower.events():
+            if isinstance(event, PhaseChanged) and event.phase == Phase.SHOW.value:
+                return
+        self._end_following()
+
+    def _end_following(self) -> None:
+        """Let the joints brake and hold, and take the ports back; raise what went wrong."""
+        follower, self._follower = self._follower, None
+        assert follower is not None
+        known = follower.readings()
+        follower.close()
+        self._held_deg |= {name: one.planned_deg for name, one in known.items()}
+        self._opened = self._open(self.robot)
+        report = follower.wait()
+        if report.outcome != "stopped":
+            text = "; ".join(map(str, report.faults)) or f"joints {report.outcome}"
+            raise PlaybackError(f"{text}. The robot holds")
+
     def _require_same_turn(self, joints: Iterable[Joint], here_deg: Mapping[str, float]) -> None:
         """Raise `PlaybackError` for a joint that held and is in another turn: it has restarted."""
         for joint in joints:
@@ -177,6 +297,11 @@ class Live:
         if self._is_closed:
             return
         atexit.unregister(self.close)
+        if self._follower is not None:
+            try:
+                self._end_following()
+            except LssMotionError as failed:
+                self.warnings.append(str(failed))
         is_limp = self.robot.end == "limp" and not self._is_failed
         word = "L" if is_limp else "H"
         with contextlib.suppress(BusError):
@@ -196,7 +321,7 @@ class Live:
     def __repr__(self) -> str:
         """Return one line: the robot, and what is limp."""
         limp = f", limp: {', '.join(self._limp)}" if self._limp else ""
-        state = "closed" if self._is_closed else "open"
+        state = "closed" if self._is_closed else "open" if self._follower is None else "following"
         return f"<live {self.robot.name!r}: {state}{limp}>"
 
     def _named(self, names: tuple[str, ...]) -> list[Joint]:
@@ -258,4 +383,4 @@ class Live:
 
     def _leave(self) -> None:
         self._is_closed = True
-        self._connection.__exit__(None, None, None)
+        self._opened.__exit__(None, None, None)

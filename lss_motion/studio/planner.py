@@ -158,7 +158,7 @@ def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
     from lss_motion.maintenance.guided import ServoTasks
     from lss_motion.maintenance.survey import ScanJob
     from lss_motion.playing.connection import is_simulated
-    from lss_motion.playing.remote.live_end import LiveJob
+    from lss_motion.playing.live_end import LiveJob
     from lss_motion.playing.remote.process import packed
     from lss_motion.studio.robot_view import robot_view
 

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 import lss_motion as lss
 from lss_motion.maintenance.guided import ServoTasks
+from lss_motion.playing.live_end import LiveSession
 from lss_motion.playing.remote import schema as m
-from lss_motion.playing.remote.live_end import LiveSession
 from lss_motion.playing.remote.operator_end import Operator
 from lss_motion.system.messages import Kind, MessagePipe, PipeClosedError
 from tests.timed_moves import is_move

@@ -10,9 +10,8 @@ are kept, up to a bound.
 | `schema`       | operations and events: the one schema                    | all below, `cli` |
 | `edit_messages` | operations on the files of a studio                     | `schema`, `studio` |
 | `message`      | base of all messages; where every joint is, as bytes     | `schema`, both ends |
-| `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end` |
-| `player_end`   | a show: applies operations, sends what happens           | `job` |
-| `live_end`     | a robot without a show: jog, poses, limp, hold           | `studio` |
+| `operator_end` | the client, as a process that moves servos knows it      | `job`, `live`      |
+| `player_end`   | a show: applies operations, sends what happens           | `job`              |
 | `job`          | what is played, and how it ended                         | `process`, `handle` |
 | `process`      | the process that does a job, and how it is started       | `handle`, `studio` |
 | `handle`       | `start` and `Handle`: the client's end, for Python       | `lss_motion` |

@@ -57,6 +57,8 @@ GONE: Final = (
 )
 BEATS: Final = 4
 """So often within the time of the rule the player is told that this process is alive."""
+TARGET_EVERY_S: Final = 0.005
+"""Targets are sent at most this often. Chosen: a quarter of the tick at which joints obey them."""
 KEPT_EVENTS: Final = 10_000
 """Events that `events` has not returned yet; older ones are dropped."""
 
@@ -134,6 +136,8 @@ class Handle(Closing):
         self._started: m.Started | None = None
         self._outcome: Outcome | None = None
         self._next_id = 1
+        self._targets: dict[str, float] = {}
+        self._has_targets = threading.Event()
         self._program = program
         self.phase = "connecting"
         """The phase of the player, by the names of `playing.player.events.Phase`."""
@@ -145,6 +149,8 @@ class Handle(Closing):
         if job.rule.silent_s is not None:
             every_s = job.rule.silent_s / BEATS
             threading.Thread(target=self._beat, args=(every_s,), daemon=True).start()
+        if job.targets is not None:
+            threading.Thread(target=self._send_targets, daemon=True).start()
 
     # ---- operations
 
@@ -176,6 +182,15 @@ class Handle(Closing):
         """
         self._program.instant_of(to)
         self._send(m.Seek, to=to if isinstance(to, str) else float(to))
+
+    def set_target(self, deg: Mapping[str, float]) -> None:
+        """Lead joints to these angles; the newest of each joint counts.
+
+        It is for a job with `targets`.
+        """
+        with self._lock:
+            self._targets |= deg
+        self._has_targets.set()
 
     def stop(self) -> None:
         """Brake within the limits, hold, and give the servos back their settings."""
@@ -288,6 +303,16 @@ class Handle(Closing):
             with self._lock:  # One that is late is worthless: a stop needs the room.
                 self._link.offer(Kind.OPERATION, self._message(m.Beat))
 
+    def _send_targets(self) -> None:
+        """Send the newest targets, and not so many that any must wait, until it has ended."""
+        while not self._ended.wait(TARGET_EVERY_S):
+            self._has_targets.wait()
+            self._has_targets.clear()
+            with self._lock:
+                newest, self._targets = self._targets, {}
+            if newest:
+                self._send(m.Target, deg=newest)
+
     def _listen(self) -> None:
         """Take what the player sends until it ends."""
         try:
@@ -303,6 +328,7 @@ class Handle(Closing):
             self._process.wait(END_S)
         finally:
             self._ended.set()
+            self._has_targets.set()
             with self._lock:
                 self._link.close()
 

@@ -12,6 +12,7 @@ from lss_motion.playing.player.following import Following, FollowRule, require_c
 from lss_motion.playing.remote.message import duration_of, plan_hash
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.schema import Ended, MarkInfo, Started
+from lss_motion.playing.targets import TargetLimiter, TargetRule
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,6 +36,8 @@ class Job(Struct, frozen=True, kw_only=True):
     rule: LossRule = field(default_factory=LossRule)
     follow: FollowRule | None = None
     """The show follows a leader, of which operations `follow` tell, and stands until then."""
+    targets: TargetRule | None = None
+    """The joints follow targets, of which operations `target` tell; the show is a live program."""
     options: dict[str, Any] = field(default_factory=dict)
     """Those of `run.RunOptions`."""
 
@@ -43,7 +46,12 @@ class Job(Struct, frozen=True, kw_only=True):
         following = None
         if self.follow is not None:
             following = Following(self.follow, place_s=self.options.get("start_s"), pauses=True)
-        return play(self, Steering(operator, self.rule, following=following))
+        limiter = None
+        if self.targets is not None:
+            assert isinstance(self.shows, Program), "a robot that follows targets plays no shows"
+            limiter = TargetLimiter(self.shows, self.robot, self.targets)
+        steering = Steering(operator, self.rule, following=following, limiter=limiter)
+        return play(self, steering)
 
 
 class Outcome(Struct, frozen=True):

@@ -114,8 +114,8 @@ class Operator:
         self.send(m.Refused(id=operation.id, text=why))
 
     def accept(self, operation: m.AnyOperation) -> None:
-        """Answer an operation that is carried out; `beat` and `follow` get no answer."""
-        if not isinstance(operation, m.Beat | m.Follow):
+        """Answer an operation that is carried out; what is repeated often gets no answer."""
+        if not isinstance(operation, m.Beat | m.Follow | m.Target):
             self.send(m.Accepted(id=operation.id, op=operation.op))
 
     def _take(self, now_ns: int) -> list[m.AnyOperation]:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.playing.remote.operator_end import Operator
+    from lss_motion.playing.targets import TargetLimiter
     from lss_motion.robot.model import Robot
 
 OnLost = Literal["stop", "hold", "go_on"]
@@ -68,9 +69,14 @@ class Steering:
         rule: LossRule | None = None,
         *,
         following: Following | None = None,
+        limiter: TargetLimiter | None = None,
     ) -> None:
-        """Steer by what `operator` asks for; with `following`, the show follows its legs."""
+        """Steer by what `operator` asks for.
+
+        With `following` the show follows its legs, with `limiter` joints follow targets.
+        """
         self.operator = operator
+        self._limiter = limiter
         self._following = following
         self._rule = rule or LossRule()
         self._is_lost = self._has_stopped = False
@@ -103,6 +109,8 @@ class Steering:
                 self.operator.accept(operation)
         self._apply_rate(player, now_ns)
         self._watch(player, now_ns)
+        if self._limiter is not None and not self._has_stopped:
+            self._limiter.act(player, now_ns)
         if self._following is not None and not self._has_stopped:
             self._following.turn(player, now_ns)
             for text in self._following.take_texts():
@@ -129,8 +137,8 @@ class Steering:
                 raise InputError("the show has been stopped; start it again")
             case m.Follow():
                 self._lead(operation, now_ns)
-            case m.Rate() | m.Seek() if self._following is not None:
-                raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
+            case m.Target():
+                self._aim(operation, now_ns)
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 self._steer(operation, player, now_ns)
             case s.Change() | s.EndAdded() if player.repertoire.only is None:
@@ -140,6 +148,10 @@ class Steering:
 
     def _steer(self, operation: m.ShowOperation, player: Player, now_ns: int) -> None:
         """Apply an operation that ends nothing."""
+        if self._limiter is not None and not isinstance(operation, m.Go):
+            raise InputError(f"joints follow targets: {operation.op} has no meaning now")
+        if self._following is not None and isinstance(operation, m.Rate | m.Seek):
+            raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
         match operation:
             case m.Go():
                 if player.phase is not Phase.READY:
@@ -176,10 +188,17 @@ class Steering:
         leg = LeaderPosition(operation.instant_ns, operation.show_s, operation.rate)
         self._following.lead(leg, now_ns)
 
+    def _aim(self, operation: m.Target, now_ns: int) -> None:
+        if self._limiter is None:
+            raise InputError("the player was not started to follow targets")
+        self._limiter.set(operation.deg, now_ns)
+
     def _stop(self, player: Player, now_ns: int) -> None:
         """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""
         if not self._has_stopped:
             self._has_stopped = True
+            if self._limiter is not None:
+                self._limiter.brake(player, now_ns)
             player.stop(now_ns)
 
     def _apply_rate(self, player: Player, now_ns: int) -> None:

@@ -150,6 +150,19 @@ class Jog(Operation, frozen=True, kw_only=True, tag="jog"):
     to_deg: Annotated[float, Meta(ge=-TURN_MAX_DEG, le=TURN_MAX_DEG)] | None = None
 
 
+class Target(Operation, frozen=True, kw_only=True, tag="target"):
+    """Lead joints to these angles, within their limits; the newest of each joint counts.
+
+    It is for a player that was started to follow targets. Repeat it: without one for a while, by
+    default 200 ms, all joints brake and hold. Without an answer, unless it is refused.
+    """
+
+    deg: Annotated[
+        dict[Name, Annotated[float, Meta(ge=-TURN_MAX_DEG, le=TURN_MAX_DEG)]],
+        Meta(min_length=1, max_length=JOINTS_MAX),
+    ]
+
+
 class PoseGo(Operation, frozen=True, kw_only=True, tag="pose.go"):
     """Move to a pose of the robot file, in `duration_s` or longer where a limit requires it."""
 
@@ -218,6 +231,7 @@ AnyOperation = (
     | Connect
     | Disconnect
     | Jog
+    | Target
     | PoseGo
     | PoseSave
     | Limp
