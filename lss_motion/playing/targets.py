@@ -1,6 +1,6 @@
 """Joints that follow targets which come while the robot moves, at any rate: one limiter for all.
 
-`TargetLimiter` stands between who has the targets (`live.set_target`, a gamepad, a playhead that is
+`TargetLimiter` stands between a source of targets (`live.set_target`, a gamepad, a playhead that is
 dragged) and a `Player` that plays a program without moves (`live_program`). At each tick it extends
 that program (`Player.extend`) by one ordinary move for each joint with a new target. The course
 after a move is that of the servo itself (`robot.profile.Profile`): it speeds up, travels and brakes
@@ -129,7 +129,7 @@ def target_values(deg: Mapping[str, float], known: Iterable[str]) -> dict[str, f
     return values
 
 
-class _Course:
+class _FollowingJoint:
     """One joint: the course of its servo after all moves, and its target. Servo angles."""
 
     def __init__(self, joint: Joint, standing_deg: float) -> None:
@@ -243,7 +243,7 @@ class TargetLimiter:
         self._rule = rule or TargetRule()
         self._robot = robot = driven(robot, program)
         self._courses = {
-            name: _Course(robot.joints[name], robot.joints[name].servo_deg(deg))
+            name: _FollowingJoint(robot.joints[name], robot.joints[name].servo_deg(deg))
             for name, deg in program.start_deg.items()
         }
         self.tick_ns = max(TICK_NS, *(round(ns / RAMP_LINE_RATIO) for ns in self._slots_ns()))
@@ -330,7 +330,7 @@ class TargetLimiter:
         self,
         player: Player,
         show: Streamer,
-        courses: Sequence[_Course],
+        courses: Sequence[_FollowingJoint],
         now_ns: int,
         *,
         is_braking: bool = False,

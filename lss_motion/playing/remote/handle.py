@@ -311,7 +311,7 @@ class Handle(Closing):
             with self._lock:
                 newest, self._targets = self._targets, {}
             if newest:
-                self._send(m.Target, deg=newest)
+                self._send(m.LeadJoints, deg=newest)
 
     def _listen(self) -> None:
         """Take what the player sends until it ends."""

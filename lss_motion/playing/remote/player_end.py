@@ -137,7 +137,7 @@ class Steering:
                 raise InputError("the show has been stopped; start it again")
             case m.Follow():
                 self._lead(operation, now_ns)
-            case m.Target():
+            case m.LeadJoints():
                 self._aim(operation, now_ns)
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 self._steer(operation, player, now_ns)
@@ -188,7 +188,7 @@ class Steering:
         leg = LeaderPosition(operation.instant_ns, operation.show_s, operation.rate)
         self._following.lead(leg, now_ns)
 
-    def _aim(self, operation: m.Target, now_ns: int) -> None:
+    def _aim(self, operation: m.LeadJoints, now_ns: int) -> None:
         if self._limiter is None:
             raise InputError("the player was not started to follow targets")
         self._limiter.set(operation.deg, now_ns)

@@ -150,7 +150,7 @@ class Jog(Operation, frozen=True, kw_only=True, tag="jog"):
     to_deg: Annotated[float, Meta(ge=-TURN_MAX_DEG, le=TURN_MAX_DEG)] | None = None
 
 
-class Target(Operation, frozen=True, kw_only=True, tag="target"):
+class LeadJoints(Operation, frozen=True, kw_only=True, tag="target"):
     """Lead joints to these angles, within their limits; the newest of each joint counts.
 
     It is for a player that was started to follow targets. Repeat it: without one for a while, by
@@ -231,7 +231,7 @@ AnyOperation = (
     | Connect
     | Disconnect
     | Jog
-    | Target
+    | LeadJoints
     | PoseGo
     | PoseSave
     | Limp
