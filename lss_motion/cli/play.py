@@ -551,6 +551,12 @@ def add_timecode_options(parser: argparse.ArgumentParser) -> None:
         "(default 0)",
     )
     parser.add_argument(
+        "--song",
+        default="",
+        metavar="NAME",
+        help="with --follow fpp: only while this sequence or media is played",
+    )
+    parser.add_argument(
         "--freewheel",
         type=number_from(0.1, FREEWHEEL_MAX_S, "seconds"),
         default=FREEWHEEL_S,
@@ -568,6 +574,8 @@ def add_timecode_options(parser: argparse.ArgumentParser) -> None:
 def require_timecode(arguments: argparse.Namespace) -> tuple[FollowSpec | None, list[SendSpec]]:
     """Return what is followed and sent; raises `InputError` for options that do not fit."""
     if arguments.follow is None and not arguments.send:
+        if arguments.song:
+            raise InputError("--song is for --follow fpp")
         if arguments.rate_fps is not None or arguments.offset_s != "0":
             raise InputError(
                 "--rate-fps and --offset-s are for --follow or --send; give one of them"
@@ -587,7 +595,9 @@ def require_timecode(arguments: argparse.Namespace) -> tuple[FollowSpec | None, 
             raise InputError(f"{name} has no meaning with --follow: the timecode says where to be")
     if arguments.follow.startswith("fpp"):
         style["rate"] = None if sends else arguments.rate_fps
-    return read_follow(arguments.follow, **style, freewheel_s=arguments.freewheel), sends
+    return read_follow(
+        arguments.follow, **style, freewheel_s=arguments.freewheel, song=arguments.song
+    ), sends
 
 
 class Link:

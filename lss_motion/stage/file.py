@@ -109,6 +109,12 @@ class OnEntry(FileModel, title="trigger"):
         description="Position of the timecode under sync.",
         examples=["01:02:03:10"],
     )
+    song: Line | None = Field(
+        default=None,
+        description="Of timecode from fpp: only while this sequence or media is played. Its name, "
+        "with or without folder and ending.",
+        examples=["one.fseq"],
+    )
     end_of: Name | None = Field(default=None, description="A show has been played to its end.")
     start: bool | None = Field(default=None, description="The stage has begun: only true.")
     go: bool | None = Field(

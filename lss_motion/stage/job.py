@@ -121,6 +121,7 @@ class StageJob(DirectedJob, frozen=True, kw_only=True):
     def _play(self, steering: StageSteering, stack: contextlib.ExitStack) -> Outcome:
         options, stage = options_of(self.options), self.planned.stage
         log, legs = self._open(stage, steering, stack, is_virtual=options.is_virtual)
+        options.seen = log.seen
         texts: list[str] = []
         sends = () if options.is_virtual else stage.sync.send
         outs = opened(sends, stack, texts.append)

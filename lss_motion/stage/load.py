@@ -72,6 +72,7 @@ OWN_KEYS: Final[Mapping[TriggerKind, frozenset[str]]] = MappingProxyType(
         TriggerKind.NOTE: frozenset({"channel"}),
         TriggerKind.PROGRAM: frozenset({"channel"}),
         TriggerKind.SACN: frozenset({"slot", "above"}),
+        TriggerKind.TIMECODE: frozenset({"song"}),
     }
 )
 
@@ -338,7 +339,7 @@ class _StageLoader:
             case TriggerKind.TIME:
                 return self._time(str(entry.time), place)
             case TriggerKind.TIMECODE:
-                return self._timecode(str(entry.timecode), place)
+                return self._timecode(str(entry.timecode), entry.song or "", place)
             case TriggerKind.SACN:
                 return self._sacn(entry, place)
             case TriggerKind.START | TriggerKind.GO:
@@ -413,7 +414,7 @@ class _StageLoader:
             self._note((*place, "time"), f"{text!r} {reason}")
         return CueTrigger(kind=TriggerKind.TIME, address=text)
 
-    def _timecode(self, text: str, place: Location) -> CueTrigger:
+    def _timecode(self, text: str, song: str, place: Location) -> CueTrigger:
         source = self.content.sync.timecode
         if source is None and not self._is_left_out("sync"):
             self._note((*place, "timecode"), "there is no timecode; give one under sync")
@@ -422,7 +423,9 @@ class _StageLoader:
         if at_s is None:
             reason = f"there is no frame {text} at {rate_fps:g} frames a second"
             self._note((*place, "timecode"), reason)
-        return CueTrigger(kind=TriggerKind.TIMECODE, address=text, at_s=at_s or 0.0)
+        if song and source is not None and source.source != "fpp":
+            self._note((*place, "song"), f"{source.source} does not say which song is played")
+        return CueTrigger(kind=TriggerKind.TIMECODE, address=text, at_s=at_s or 0.0, song=song)
 
     # ---- the rest
 

@@ -15,11 +15,13 @@ writes itself. `Ring` keeps the last seconds of bytes in memory; at a fault they
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 from collections import deque
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,7 +39,6 @@ from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
-    from datetime import datetime
 
     from lss_motion.playing.log import LogLine
     from lss_motion.stage.director import Director
@@ -161,6 +162,23 @@ class Writer:
                 total -= size
 
 
+TAIL_BYTES: Final = 65_536
+"""The end of a log in which its last line is looked for."""
+
+
+def last_written(folder: Path) -> datetime | None:
+    """Return when the last line of a log was written; None: there is no line that can be read."""
+    for file in sorted(folder.glob(f"{PREFIX}*.jsonl"), reverse=True):
+        lines: list[bytes] = []
+        with contextlib.suppress(OSError), file.open("rb") as opened:
+            opened.seek(max(0, opened.seek(0, os.SEEK_END) - TAIL_BYTES))
+            lines = opened.read().splitlines()
+        for line in reversed(lines):
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                return datetime.fromisoformat(json.loads(line)["t"])
+    return None
+
+
 def why_not_written(folder: Path, error: OSError) -> str:
     """Return for people why a log cannot be written to a folder."""
     if isinstance(error, FileExistsError | NotADirectoryError):
@@ -191,6 +209,8 @@ class StageLog:
     """Takes records, and never waits; use it as a context manager."""
 
     def __init__(self, rule: LogRule, *, is_virtual: bool = False) -> None:
+        self.seen = last_written(rule.folder)
+        """When the process before this one has written last."""
         self._writer = Writer(rule.folder, rule.max_bytes) if is_virtual else None
         self._lost = self._dropped = 0
         """Records that the process did not take: since the last that it took, and in all."""

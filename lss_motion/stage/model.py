@@ -60,6 +60,8 @@ class CueTrigger(Struct, frozen=True, kw_only=True):
     """Of MIDI; None: any."""
     at_s: float = 0.0
     """Of a timecode: seconds from 00:00:00:00."""
+    song: str = ""
+    """Of a timecode: only while this is played; empty: always."""
 
     def is_met(self, value: float) -> bool:
         """Return whether a value is on the side that fires."""
@@ -90,7 +92,8 @@ class CueTrigger(Struct, frozen=True, kw_only=True):
         """The trigger in a few words, for people."""
         side = "" if self.side is None else f" {self.side} {self.threshold:g}"
         channel = "" if self.channel is None else f" (channel {self.channel})"
-        return f"{self.kind} {self.address}{side}{channel}".strip()
+        song = f" of {self.song}" if self.song else ""
+        return f"{self.kind} {self.address}{side}{channel}{song}".strip()
 
 
 class Signal(Struct, frozen=True, kw_only=True):

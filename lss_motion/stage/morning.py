@@ -20,7 +20,7 @@ from msgspec import Struct
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_data
 from lss_motion.files.texts import aligned, counted
-from lss_motion.stage.log import FAULT_PREFIX, PREFIX
+from lss_motion.stage.log import FAULT_PREFIX, PREFIX, last_written
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -119,7 +119,9 @@ def read_night(folder: Path, since: datetime | None = None) -> Night:
         raise InputError("has no log of a stage (stage-….jsonl)", path=folder)
     broken = Counter[str]()
     if since is None:
-        last = _last_time(files)
+        last = last_written(folder)
+        if last is None:
+            raise InputError("has no line that can be read", path=files[-1].parent)
         since = last - NIGHT
     records = [one for file in files if _may_hold(file, since) for one in _records(file, broken)]
     if since.tzinfo is None and records:
@@ -139,14 +141,6 @@ def read_night(folder: Path, since: datetime | None = None) -> Night:
     _change_rest(night, night.ends, [])
     night.dumps = tuple(file.name for file in sorted(folder.glob(f"{FAULT_PREFIX}*.log")))
     return night
-
-
-def _last_time(files: list[Path]) -> datetime:
-    for file in reversed(files):
-        times = [at for at, _ in _records(file, Counter())]
-        if times:
-            return times[-1]
-    raise InputError("has no line that can be read", path=files[-1].parent)
 
 
 def _may_hold(file: Path, since: datetime) -> bool:

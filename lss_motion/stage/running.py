@@ -177,6 +177,8 @@ class Options:
     waits_for_port: bool = False
     waits_for_go: bool = False
     start_at: datetime | None = None
+    seen: datetime | None = None
+    """When the process before this one was seen last."""
     begins: datetime | None = None
     """Virtual time only: the time of day at its beginning."""
     lasts_s: float | None = None
@@ -225,6 +227,7 @@ class StageRun:
             random,
             waits_for_go=options.waits_for_go,
             start_at=options.start_at,
+            seen=options.seen,
         )
         self.state = "connecting"
         """For operators, while no show plays."""

@@ -71,7 +71,7 @@ class StageTimecode:
         self._given, self._legs = given, legs
         self._rule = FollowRule(freewheel_s=given.freewheel_s, lost=given.lost)
         self._leg: LeaderPosition | None = None
-        self._source, self._word = "", ChaseState.SEARCHING.value
+        self._source, self._word, self._song = "", ChaseState.SEARCHING.value, ""
         self._received_ns = 0
         self._is_new = self._is_lost = False
         self._texts: list[str] = []
@@ -80,6 +80,8 @@ class StageTimecode:
         self.number = 0
         """Of the order by which the show plays that follows; 0: none does."""
         self._offset_ns = self._prepared_ns = 0
+        self._begun_song = ""
+        """What was played when the show that follows began."""
         self._begins_s = self._lasts_s = 0.0
         """Of the show that follows: the position at show time 0, and its duration."""
 
@@ -94,6 +96,7 @@ class StageTimecode:
         self._leg = LeaderPosition(leg.instant_ns, leg.show_s, leg.rate)
         self._received_ns, self._is_new, self._is_lost = now_ns, True, False
         self._source = leg.source or self._source
+        self._song = leg.song
         running = ChaseState.LOCKED if leg.rate >= RUNNING_RATE else ChaseState.STANDING
         self._word = leg.state or running.value
 
@@ -105,7 +108,8 @@ class StageTimecode:
         if self._is_new and self._leg is not None:
             self._is_new = False
             self._leave_elsewhere(director, now_ns)
-            director.take_timecode(self._leg.at_s(now_ns), self._leg.rate, now_ns)
+            at_s = self._leg.at_s(now_ns)
+            director.take_timecode(at_s, self._leg.rate, now_ns, self._song)
             if self.following is not None:
                 self.following.lead(self._led(), now_ns - self._offset_ns)
         elif self._leg is not None and not self._is_lost:
@@ -173,7 +177,7 @@ class StageTimecode:
             return None
         self.following = Following(self._rule, place_s=place_s)
         self.following.lead(self._led(), now_ns)
-        self.number = order.number
+        self.number, self._begun_song = order.number, self._song
         return place_s
 
     def leave(self) -> None:
@@ -219,7 +223,10 @@ class StageTimecode:
             return
         show_s = self._leg.at_s(now_ns) - self._begins_s
         early_s = READY_MAX_S if is_ready else JUMP_S
-        if not -early_s <= show_s <= self._lasts_s + JUMP_S:
+        if is_ready:
+            self._begun_song = self._song
+        is_other = self._song != self._begun_song
+        if is_other or not -early_s <= show_s <= self._lasts_s + JUMP_S:
             self._texts.append("the timecode has left the show")
             director.leave(self.number, now_ns)
 

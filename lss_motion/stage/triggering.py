@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, install_command
 from lss_motion.stage.model import TriggerKind
+from lss_motion.stage.timecode.timecode import is_song
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ class TimecodeCues:
         """Take the cues of a stage, and the durations of its shows."""
         self._freewheel_ns = ns_from_s(freewheel_s)
         self.renew(cues, duration_s)
+        self._song = ""
         self._at_s: float | None = None
         """The position up to which cues were passed; None: the source is lost."""
         self._rate = 0.0
@@ -118,19 +120,20 @@ class TimecodeCues:
         self._duration_s = duration_s
 
     def take(
-        self, at_s: float | None, rate: float, now_ns: int
+        self, at_s: float | None, rate: float, now_ns: int, song: str = ""
     ) -> Iterator[tuple[StageCue, float | None]]:
         """Take a position; yield the cues that were passed, each with where its show begins.
 
-        None: at its beginning. After a jump forward or back it is the show in which the timecode
-        is. While it stands or runs backwards nothing is passed.
+        None: at its beginning. After a jump forward or back, or in another song, it is the show in
+        which the timecode is. While it stands or runs backwards nothing is passed.
         """
+        is_other, self._song = song != self._song, song
         expected_s = self._expected_s(now_ns)
         self._received_ns = now_ns
         if at_s is None:
             self._at_s = None
             return
-        if self._at_s is None or expected_s is None or abs(at_s - expected_s) > JUMP_S:
+        if self._at_s is None or expected_s is None or is_other or abs(at_s - expected_s) > JUMP_S:
             self._at_s, self._rate, self._now_ns = at_s, rate, now_ns
             if rate > 0.0 and (found := self._within(at_s)) is not None:
                 yield found, at_s - found.on.at_s
@@ -153,7 +156,7 @@ class TimecodeCues:
         """Return when the next cue is passed; None: not as it is now."""
         if self._at_s is None or self._rate <= 0.0:
             return None
-        coming = (cue.on.at_s for cue in self._cues if cue.on.at_s > self._at_s)
+        coming = (cue.on.at_s for cue in self._playing() if cue.on.at_s > self._at_s)
         at_s = next(coming, None)
         if at_s is None:
             return None
@@ -169,14 +172,14 @@ class TimecodeCues:
         from_s = self._at_s
         if at_s > from_s:
             self._at_s, self._now_ns = at_s, now_ns
-        for cue in self._cues:
+        for cue in self._playing():
             if from_s < cue.on.at_s <= at_s:
                 yield cue, None
 
     def _within(self, at_s: float) -> StageCue | None:
         """Return the last cue whose first show is under way at this position."""
         found = None
-        for cue in self._cues:
+        for cue in self._playing():
             if self._lasts(cue, at_s):
                 found = cue
         return found
@@ -192,7 +195,7 @@ class TimecodeCues:
         at_s = self._expected_s(now_ns)
         if at_s is None:
             return None
-        ahead = (cue for cue in self._cues if cue.can_wait and cue.on.at_s >= at_s)
+        ahead = (cue for cue in self._playing() if cue.can_wait and cue.on.at_s >= at_s)
         cue = next(ahead, None)
         return None if cue is None else (cue, cue.on.at_s - at_s)
 
@@ -208,7 +211,12 @@ class TimecodeCues:
     def is_within(self, cue: StageCue, now_ns: int) -> bool:
         """Return whether the timecode runs, and is in the first show of this cue."""
         at_s = self._expected_s(now_ns)
-        return at_s is not None and self._rate > 0.0 and self._lasts(cue, at_s)
+        is_playing = at_s is not None and self._rate > 0.0 and cue in self._playing()
+        return is_playing and at_s is not None and self._lasts(cue, at_s)
+
+    def _playing(self) -> Iterator[StageCue]:
+        """Yield the cues of the song that is played, and those of any."""
+        return (cue for cue in self._cues if not cue.on.song or is_song(cue.on.song, self._song))
 
     def _lasts(self, cue: StageCue, at_s: float) -> bool:
         """Return whether the first show of a cue that follows is under way at this position."""
@@ -331,6 +339,12 @@ class CronClock:
         self._coming: dict[str, tuple[datetime | None, str]] = {}
         """By expression: what was said of its next time, and in which minute."""
         self._zone = zone
+
+    def begin(self, since: datetime) -> None:
+        """Go through the minutes after `since`, an aware time, if none was gone through yet."""
+        if self._until is None:
+            self._until = since.astimezone(UTC).replace(second=0, microsecond=0)
+            self._until_local = self._local(self._until)
 
     def due(self, wall: datetime) -> tuple[list[str], str]:
         """Return the expressions that are due by `wall`, an aware time, and what was noticed.

@@ -71,7 +71,12 @@ class TimecodeDesk:
         while self.next_ns <= self.run.now_ns:
             led = self.at(self.next_ns / S)
             if led is not None:
-                legs.append(Follow(id=1, instant_ns=self.next_ns, show_s=led[0], rate=led[1]))
+                show_s, rate, *song = led
+                legs.append(
+                    Follow(
+                        id=1, instant_ns=self.next_ns, show_s=show_s, rate=rate, song="".join(song)
+                    )
+                )
             self.next_ns += S // 10
         return legs
 
@@ -170,6 +175,24 @@ def test_cues_fire_at_their_timecode_and_shows_stay_in_step_through_gaps_and_jum
     ]
     last = evening.run.timecode.state_of(evening.run.now_ns)
     assert (last["state"], last["source"], last["show"]) == ("lost", "ltc", None)
+
+
+def test_cues_that_are_bound_to_songs_fire_in_theirs_and_a_show_ends_with_its_song(tmp_path):
+    planned_in(tmp_path, "go_on")
+    text = STAGE.replace("LOST", "go_on").replace("source: ltc", "source: fpp")
+    text = text.replace('{timecode: "00:00:10:00"}', '{timecode: "00:00:10:00", song: one}')
+    text = text.replace('{timecode: "00:01:30:00"}', '{timecode: "00:00:10:00", song: two.mp3}')
+    (tmp_path / "stage.yaml").write_text(text)
+    planned = plan_stage(load_stage(tmp_path / "stage.yaml"))
+
+    def at(seconds):  # The second song is where the first one would be.
+        song = "two.mp3" if 20.0 <= seconds < 40.0 else "one.mp3"
+        return seconds % 40.0 - (12.0 if seconds % 40.0 >= 20.0 else 0.0), 1.0, song
+
+    evening = TimecodeEvening(planned, at, 55.0)
+    assert [cue for cue, _ in evening.fired] == ["twelve", "later", "twelve"]
+    assert [at_s for _, at_s in evening.fired] == pytest.approx([10.0, 22.0, 50.0], abs=0.021)
+    assert [one for one in evening.over if "idle" not in one][:2] == ["dance left", "wink finished"]
 
 
 def test_a_show_whose_timecode_stands_and_then_is_silent_goes_on_and_ends(tmp_path):

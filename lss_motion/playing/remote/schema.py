@@ -32,6 +32,8 @@ RATE_LEAST: Final = 0.05
 """The lowest rate that can be asked for; `pause` is lower."""
 
 LABEL_MAX_CHARS: Final = base.LABEL_MAX_CHARS
+SONG_MAX_CHARS: Final = 255
+"""As of FPP MultiSync."""
 Name = base.Name
 Message = base.Message
 Operation = base.Operation
@@ -84,6 +86,8 @@ class Follow(Operation, frozen=True, kw_only=True, tag="follow"):
     source: Annotated[str, Meta(max_length=LABEL_MAX_CHARS)] = ""
     state: Annotated[str, Meta(max_length=LABEL_MAX_CHARS)] = ""
     """What the leader does, for a person."""
+    song: Annotated[str, Meta(max_length=SONG_MAX_CHARS)] = ""
+    """What the leader plays, where it says so."""
 
 
 class Stop(Operation, frozen=True, kw_only=True, tag="stop"):

@@ -68,6 +68,7 @@ class ConductedStage:
         timecode: StageTimecode | None = None,
         waits_for_go: bool = False,
         start_at: datetime | None = None,
+        seen: datetime | None = None,
         seed: int | None = None,
         plays_first: bool = False,
         wall: Callable[[], datetime] = lambda: datetime.now(tz=UTC),
@@ -84,6 +85,7 @@ class ConductedStage:
             Random(seed),  # noqa: S311  (which show is next)
             waits_for_go=waits_for_go,
             start_at=start_at,
+            seen=seen,
         )
         self._records = Records(stage, wall, write)
         self._order: orders.PlayOrder | None = None

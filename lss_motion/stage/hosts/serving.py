@@ -448,6 +448,7 @@ class ConductorJob(DirectedJob, frozen=True, kw_only=True):
             timecode=None if given is None else StageTimecode(given, legs),
             waits_for_go=bool(options.get("waits_for_go")),
             start_at=None if start_at is None else datetime.fromisoformat(start_at),
+            seen=log.seen,
             seed=options.get("seed"),
             plays_first=bool(options.get("goes")),
         )

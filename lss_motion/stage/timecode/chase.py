@@ -78,6 +78,8 @@ class TimecodeObservation(NamedTuple):
     instant_ns: int
     position_s: float
     direction: int = 1
+    song: str = ""
+    """What the leader plays, where it says so."""
 
 
 class Style(Struct, frozen=True, kw_only=True):
@@ -113,6 +115,8 @@ class Chase:
         """Of the leader, as fitted."""
         self.source = ""
         """The source that is followed, once there was one."""
+        self.song = ""
+        """What the leader plays, where it says so: of the observations that fit."""
         self.ignored = 0
         """Observations that did not fit, or came from another source."""
         self._rate_error = math.inf
@@ -245,6 +249,7 @@ class Chase:
         self._chain.clear()
         self._fit()
         self._good_ns, self._astray = self._points[-1].instant_ns, 0
+        self.song = self._points[-1].song
         self._enter(ChaseState.LOCKED)
         self._add_leg(self._good_ns)
 
@@ -254,6 +259,7 @@ class Chase:
         while self._points[0].instant_ns < oldest_ns:
             self._points.popleft()
         self._good_ns, self._astray = observation.instant_ns, 0
+        self.song = observation.song
         if self.state is not ChaseState.LOCKED and self.state is not ChaseState.OFF_SPEED:
             self._enter(ChaseState.LOCKED)
         # Not as often as legs: `advance` adds them, too, and then none would be due here.
@@ -324,7 +330,7 @@ class Chase:
     def _hold(self, state: ChaseState, observation: TimecodeObservation) -> None:
         """Note that the leader does not run as it should; legs stand there."""
         self._good_ns = observation.instant_ns
-        self._held_s = observation.position_s
+        self._held_s, self.song = observation.position_s, observation.song
         if state is not ChaseState.OFF_SPEED:
             self._forget()
         if self.state is not state:

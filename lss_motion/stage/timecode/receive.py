@@ -35,6 +35,7 @@ from lss_motion.stage.timecode.timecode import (
     FPS_30,
     FollowSpec,
     TimecodeStart,
+    is_song,
 )
 from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import wait_for
@@ -95,6 +96,7 @@ class TimecodeLeg(Struct, frozen=True, tag=True):
     rate: float
     source: str
     state: str
+    song: str
 
 
 TimecodeNews = TimecodeOpened | TimecodeFailed | TimecodeText | TimecodeLeg
@@ -244,7 +246,9 @@ class PacketSource:
     def __init__(self, spec: FollowSpec, say: Any) -> None:  # noqa: ANN401
         is_fpp = spec.kind == "fpp"
         self._reader: ArtNetReader | FppReader
-        self._reader = FppReader(spec.start) if is_fpp else ArtNetReader(spec.rate, say, spec.start)
+        self._reader = (
+            FppReader(spec.start, spec.song) if is_fpp else ArtNetReader(spec.rate, say, spec.start)
+        )
         self._allowed = [ipaddress.IPv4Network(text, strict=False) for text in spec.allowed]
         self._known: dict[str, bool] = {}
         port = FPP_PORT if is_fpp else ARTNET_PORT
@@ -342,6 +346,7 @@ def _send(chased: Chase, typed: TypedPipe[None]) -> None:
                 rate=round(leg.rate, 8),
                 source=chased.source or "timecode",
                 state=chased.state.value,
+                song=chased.song,
             )
         )
 
@@ -465,8 +470,8 @@ class FppReader:
     or else its media.
     """
 
-    def __init__(self, start: TimecodeStart = FROM_MIDNIGHT) -> None:
-        self._start = start
+    def __init__(self, start: TimecodeStart = FROM_MIDNIGHT, song: str = "") -> None:
+        self._start, self._song = start, song
         self._items: dict[str, tuple[str, str, int]] = {}
         """What each player plays: kind, name, and when it was heard of last."""
 
@@ -476,6 +481,8 @@ class FppReader:
         """Yield what is known with this packet."""
         reading = read_fpp(packet)
         if reading is None or reading.action == "open":
+            return
+        if self._song and not is_song(self._song, reading.name):
             return
         is_stop = reading.action == "stop"
         kind, name, heard_ns = self._items.get(address, ("", "", 0))
@@ -490,4 +497,5 @@ class FppReader:
                 self._items.clear()
             self._items[address] = (reading.kind, reading.name, instant_ns)
         position_s = self._start.show_s(reading.seconds * FPS_25.frames_per_s, FPS_25)
-        yield TimecodeObservation(instant_ns, position_s, 0 if is_stop else 1), address
+        direction = 0 if is_stop else 1
+        yield TimecodeObservation(instant_ns, position_s, direction, reading.name), address

@@ -13,6 +13,7 @@ from __future__ import annotations
 import ipaddress
 import math
 import re
+from pathlib import PurePosixPath
 from typing import Final, Literal, NamedTuple, cast, get_args
 
 from msgspec import Struct
@@ -171,6 +172,8 @@ class FollowSpec(Struct, frozen=True, kw_only=True):
     """None: as measured or labelled."""
     start: TimecodeStart = TimecodeStart()
     freewheel_s: float = 2.0
+    song: str = ""
+    """Of FPP: only what is played under this name is followed; empty: all."""
 
     @property
     def is_loopback(self) -> bool:
@@ -190,8 +193,19 @@ class SendSpec(Struct, frozen=True, kw_only=True):
     """Name of the show, for receivers that are told one."""
 
 
+def is_song(wanted: str, played: str) -> bool:
+    """Return whether what is played is the song wanted: by its name, without folder and ending."""
+    path = PurePosixPath(played.replace("\\", "/").casefold())
+    return wanted.casefold() in (str(path), path.name, path.stem)
+
+
 def read_follow(
-    text: str, *, rate: str | None = None, offset: str | float = 0.0, freewheel_s: float = 2.0
+    text: str,
+    *,
+    rate: str | None = None,
+    offset: str | float = 0.0,
+    freewheel_s: float = 2.0,
+    song: str = "",
 ) -> FollowSpec:
     """Return the source that `text` names; raises `InputError`."""
     word, _, rest = text.partition(":")
@@ -202,6 +216,8 @@ def read_follow(
     is_network = kind in ("artnet", "fpp")
     if kind == "fpp" and rate is not None:
         raise InputError("FPP sends seconds: a frame rate has no meaning with it")
+    if song and kind != "fpp":
+        raise InputError(f"{word} does not say which song is played; only fpp does")
     return FollowSpec(
         kind=kind,
         name="" if is_network else rest,
@@ -209,6 +225,7 @@ def read_follow(
         rate=chosen,
         start=read_start(offset, chosen),
         freewheel_s=freewheel_s,
+        song=song,
     )
 
 

@@ -676,3 +676,29 @@ def test_the_clock_may_be_set_in_mid_show_and_no_cue_fires_twice():
     assert desk.shown == ["a"]
     desk.wait(600)
     assert len([note for note in desk.notes if note.startswith("cue ten")]) == 2
+
+
+TIMED = {
+    "while no process ran": (60.0, 1.0, ["cue t"]),
+    "while the robot was made ready": (0.0, 200.0, ["cue t"]),
+    "long ago": (600.0, 1.0, []),
+    "before the first process": (None, 1.0, []),
+}
+
+
+@titled(("gone_s", "ready_s", "fired"), TIMED)
+def test_a_time_of_day_that_fell_into_a_restart_fires_when_the_robot_is_ready(
+    gone_s, ready_s, fired
+):
+    on = CueTrigger(kind=TriggerKind.TIME, address="0 12 * * *" if gone_s else "3 12 * * *")
+    seen = None if gone_s is None else NOON + timedelta(seconds=30 - gone_s)
+    desk = DirectorDesk(
+        StageCue(name="t", on=on, shows=("a",)), begins=False, director={"seen": seen}
+    )
+    desk.wall = NOON + timedelta(seconds=30)
+    desk.wait(ready_s)
+    assert [text for text in desk.notes if text.startswith("cue t")] == []
+    desk.director.connected(desk.now_ns)
+    desk.wait(2.0)
+    assert [text[:5] for text in desk.notes if text.startswith("cue t")] == fired
+    assert (desk.playing and "a" in desk.playing.values()) == bool(fired)

@@ -86,6 +86,13 @@ BAD = [
     ("cues:\n  - {cue: a, on: {time: '5 25 * * *'}, do: stop}", 6, "is no time of day"),
     ("cues:\n  - {cue: a, on: {time: '5 2 * *'}, do: stop}", 6, "has 4 fields, not 5"),
     ("cues:\n  - {cue: a, on: {timecode: '00:00:01:00'}, do: stop}", 6, "there is no timecode"),
+    (
+        "sync: {timecode: {source: ltc}}\ncues:\n"
+        "  - {cue: a, on: {timecode: '00:00:01:00', song: one}, play: hello}",
+        7,
+        "ltc does not say which song is played",
+    ),
+    ("cues:\n  - {cue: a, on: {key: g, song: one}, do: stop}", 6, "song does not belong to key"),
     ("cues:\n  - {cue: a, on: {go: false}, do: stop}", 6, "go can only be true"),
     ("cues:\n  - {cue: a, on: {key: g}, do: stop, enable: [b]}", 6, "no cue 'b'"),
     ("cues:\n  - {cue: a, on: {key: g}, do: stop, follow: true}", 6, "follow belongs to"),

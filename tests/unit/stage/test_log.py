@@ -7,10 +7,18 @@ import os
 import shutil
 import signal
 import time
+from datetime import datetime
 
 import pytest
 
-from lss_motion.stage.log import RING_MAX_BYTES, Ring, StageLog, Writer, why_not_writable
+from lss_motion.stage.log import (
+    RING_MAX_BYTES,
+    Ring,
+    StageLog,
+    Writer,
+    last_written,
+    why_not_writable,
+)
 from lss_motion.stage.model import LogRule
 
 NS = 1_000_000_000
@@ -186,3 +194,14 @@ def test_a_ring_without_time_keeps_the_present_instant_only(kept_s):
     ring.sent("main", b"a", 1)
     ring.sent("main", b"b", 2)
     assert ring.content().count("main") == 1
+
+
+def test_when_the_last_line_was_written(tmp_path):
+    assert last_written(tmp_path / "nothing") is None
+    (tmp_path / "stage-2026-10-29-0000.jsonl").write_text('{"t": "2026-10-29T21:00:00+01:00"}\n')
+    (tmp_path / "stage-2026-10-30-0000.jsonl").write_text('{"t": "2026-10-30T2')
+    assert last_written(tmp_path) == datetime.fromisoformat("2026-10-29T21:00:00+01:00")
+    long = '{"t": "2026-10-30T21:14:03.120+01:00", "text": "' + 90_000 * "x" + '"}\n'
+    lines = long + '{"t": "2026-10-30T22:00:00+01:00"}\nno line\n'
+    (tmp_path / "stage-2026-10-30-0001.jsonl").write_text(lines)
+    assert last_written(tmp_path) == datetime.fromisoformat("2026-10-30T22:00:00+01:00")
