@@ -130,6 +130,7 @@ CASES: Final = (
     Case("the port is unplugged for good", _line(FaultKind.UNPLUGGED)),
     Case("the port takes no bytes for 0.3 s", _line(FaultKind.BLOCKED_PORT, 0.3)),
     Case("the port takes no bytes any more", _line(FaultKind.BLOCKED_PORT)),
+    Case("the adapter returns what is sent", _line(FaultKind.ECHO), is_in_show=False),
     Case("every tenth reply is damaged", _line(FaultKind.CORRUPT_REPLY, ratio=0.1)),
     Case("every tenth command is lost", _line(FaultKind.LOST_COMMAND, ratio=0.1)),
     Case("the computer stands still for 0.2 s", _line(FaultKind.OVERSLEEP, 0.1, late_s=0.2)),

@@ -184,8 +184,9 @@ def _examined(robot: Robot) -> tuple[list[Finding], LssMotionError | None]:
         joints = list(robot.joints.values())
         with connect(robot.buses, robot=robot, clock=clock) as connection:
             preflight = connection.run(Examination(joints, robot, reads_stored=True)).preflight
+        warnings = preflight.echoes()
         preflight.require_own_ids()
-        warnings = checks.check_answers(joints, preflight.answers, robot, stored=preflight.stored)
+        warnings += checks.check_answers(joints, preflight.answers, robot, stored=preflight.stored)
         warnings += checks.check_range(joints, preflight.answers)
     except LssMotionError as error:
         return [Finding(subject="robot", level=Level.BAD, text=str(error))], error

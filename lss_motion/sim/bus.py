@@ -259,6 +259,7 @@ class SimBus:
         self._outages_ns = self._faults.spans_ns(FaultKind.UNPLUGGED)
         self.has_outages = bool(self._outages_ns)
         self._blocks_ns = self._faults.spans_ns(FaultKind.BLOCKED_PORT)
+        self._servo_line.start(self._faults.spans_ns(FaultKind.ECHO))
         self._adapter.start(now_ns, self._outages_ns)
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
         for servo in self._servos:
@@ -305,6 +306,7 @@ class SimBus:
             if lines[0][0] > until_ns:
                 return False
             received_ns, sent = lines.popleft()
+            self._servo_line.echo(sent, received_ns)
             sent = self.odd_lines.read(sent)
         elif other_ns <= until_ns:
             received_ns, sent = self._second_master.pop()

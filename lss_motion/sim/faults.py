@@ -108,6 +108,8 @@ class FaultKind(StrEnum):
         "one unit of `setting` is `scale_ratio` times that of the documents", "setting scale_ratio")
     SECOND_MASTER = ("second_master", "line", "steady",
         "another host sends `text` every `every_s`; its replies arrive, too", "text every_s")
+    ECHO = ("echo", "line", "steady",
+        "the adapter returns what the host sends, besides the replies")
     # fmt: on
 
     def has(self, key: str) -> bool:

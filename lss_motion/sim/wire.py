@@ -127,6 +127,9 @@ class ServoLine:
         """When each of the others ends."""
         self._count = 0
         self._current: tuple[int, int] | None = None
+        self._echoes: deque[tuple[int, bytes]] = deque()
+        """Lines of the host that its adapter returns, and when their CR was sent."""
+        self._echoing_ns: Spans = []
 
     def send(self, data: bytes, start_ns: int) -> int:
         """Let a servo send `data` from `start_ns` on; return when its last byte has arrived."""
@@ -141,6 +144,15 @@ class ServoLine:
         self._take_apart()
         self._send_bytes(data, start_ns, end_ns)
         return end_ns
+
+    def start(self, echoing_ns: Spans) -> None:
+        """Set when the adapter of the host returns what the host sends."""
+        self._echoing_ns = echoing_ns
+
+    def echo(self, line: bytes, sent_ns: int) -> None:
+        """Return a line to the host, whose last byte has just left, if its adapter does so now."""
+        if any(from_ns <= sent_ns < until_ns for from_ns, until_ns in self._echoing_ns):
+            self._echoes.append((sent_ns, line))
 
     def _take_apart(self) -> None:
         """Send what is left of the whole replies byte by byte."""
@@ -169,6 +181,16 @@ class ServoLine:
 
     def read(self, now_ns: int) -> bytes:
         """Return the bytes that arrived by `now_ns`. Replies that start until then must be sent."""
+        while self._echoes and self._echoes[0][0] <= now_ns:
+            sent_ns, line = self._echoes.popleft()
+            self._read_replies(sent_ns)
+            for value in line:
+                self._adapter.take(sent_ns, value)
+        self._read_replies(now_ns)
+        return self._adapter.read(now_ns)
+
+    def _read_replies(self, now_ns: int) -> None:
+        """Hand over the bytes of replies that arrived by `now_ns`."""
         if self._ends_ns:
             self._read_mixed(now_ns)
         while self._whole and self._whole[0][0] < now_ns:
@@ -182,7 +204,6 @@ class ServoLine:
             self._read_bytes = bisect_right(edges_ns, now_ns - start_ns) - 1
             self._adapter.take_all(edges_ns, start_ns, data, first, self._read_bytes)
             break
-        return self._adapter.read(now_ns)
 
     def _read_mixed(self, now_ns: int) -> None:
         """Hand over the bytes of replies that are not whole."""
@@ -203,11 +224,18 @@ class ServoLine:
             heapq.heappop(self._ends_ns)
 
     def next_end_ns(self) -> int | None:
-        """Return when the earliest reply that was not read to its end is complete.
+        """Return when the earliest reply, or echo, that was not read to its end is complete.
 
         Two replies that follow each other count as one: that saves the host a turn.
         With an adapter that sends packets: when the host gets it, or a full packet before it.
         """
+        end_ns = self._next_reply_ns()
+        if not self._echoes:
+            return end_ns
+        echo_ns = self._adapter.due_ns(self._echoes[0][0])
+        return echo_ns if end_ns is None else min(end_ns, echo_ns)
+
+    def _next_reply_ns(self) -> int | None:
         if self._whole:
             first_ns = self._whole[0][1]
             if len(self._whole) == 1:

@@ -18,7 +18,6 @@ answer about a show that was left is never taken for the next one.
 from __future__ import annotations
 
 from collections import deque
-from datetime import timedelta
 from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
@@ -27,14 +26,7 @@ from lss_motion.stage import orders
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import CueTrigger, Signal, StageCue, TriggerKind
 from lss_motion.stage.orders import OrderedShow, ShowInfo, WaitingShow, not_played
-from lss_motion.stage.triggering import (
-    FREEWHEEL_S,
-    LATE,
-    Bags,
-    CronClock,
-    TimecodeCues,
-    Triggers,
-)
+from lss_motion.stage.triggering import FREEWHEEL_S, Bags, CronClock, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -81,11 +73,7 @@ class Director:
         start_at: datetime | None = None,
         seen: datetime | None = None,
     ) -> None:
-        """Direct `stage`; `random` chooses among shows. It begins with GO, or at `start_at`.
-
-        `seen`: when the process before this one was seen last. Times of day that have come since
-        then, or until the robot is ready, fire late, as those of a clock that is set forward.
-        """
+        """Direct `stage`, from GO or `start_at` on; `seen`: the end of the process before."""
         self.stage = stage
         self.duty = Duty(stage)
         self.shows = dict(shows)
@@ -98,8 +86,7 @@ class Director:
         self.armed: str | None = None
         self._bags = Bags(random)
         self._triggers = Triggers(stage.cues)
-        self.cron = CronClock(stage.addresses(TriggerKind.TIME), stage.zone)
-        self._seen = seen
+        self.cron = CronClock(stage.addresses(TriggerKind.TIME), stage.zone, seen)
         given = stage.sync.timecode
         freewheel_s = FREEWHEEL_S if given is None else given.freewheel_s
         self.timecode = TimecodeCues(stage.cues, self._durations_s(), freewheel_s)
@@ -171,8 +158,7 @@ class Director:
         is_moving = bool(self.added) or (self.main is not None and not self.main.is_ready)
         self.duty.tick(now_ns, wall, self.cron.local(wall), is_moving=is_moving)
         self._note_rest()
-        is_near = self._seen is not None and timedelta() <= wall - self._seen <= LATE
-        self.cron.begin(self._seen if is_near and self._seen is not None else wall)
+        self.cron.begin(wall)
         expressions, text = self.cron.due(wall) if self.has_begun else ([], "")
         if text:
             self._note(text)
@@ -183,10 +169,7 @@ class Director:
         self._settle()
 
     def take_timecode(self, at_s: float | None, rate: float, now_ns: int, song: str = "") -> None:
-        """Take a position of the timecode, its offset included; None: the source is lost.
-
-        `song` is what the source plays, where it says so.
-        """
+        """Take a position of the timecode, its offset included, and the song; None: it is lost."""
         self._now_ns = now_ns
         for cue, start_s in self.timecode.take(at_s, rate, now_ns, song):
             self._by_timecode(cue, start_s)
@@ -292,10 +275,8 @@ class Director:
 
     def waits_on(self, number: int) -> bool:
         """Return whether that show waits also while there is no timecode."""
-        cue = None if self.main is None else self.main.cue
-        return (
-            cue is not None and self.is_ready(number) and (cue.is_ready or cue.name == self.armed)
-        )
+        cue = self.main.cue if self.main is not None and self.is_ready(number) else None
+        return cue is not None and (cue.is_ready or cue.name == self.armed)
 
     def next_go(self) -> str | None:
         """Return the cue that GO fires; None: there is none."""

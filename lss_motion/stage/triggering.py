@@ -325,8 +325,18 @@ def end_of_span(now: time, spans: Iterable[tuple[time, time]]) -> time | None:
 class CronClock:
     """Finds the cron expressions that are due, minute by minute."""
 
-    def __init__(self, expressions: Iterable[str], zone: tzinfo | None = None) -> None:
-        """Watch `expressions`; `zone` is that of the times, None: that of the computer."""
+    def __init__(
+        self,
+        expressions: Iterable[str],
+        zone: tzinfo | None = None,
+        seen: datetime | None = None,
+    ) -> None:
+        """Watch `expressions`; `zone` is that of the times, None: that of the computer.
+
+        `seen`: when the process before this one was seen last. What has come since then, or until
+        the first call of `due`, fires late, as with a clock that is set forward.
+        """
+        self._seen = seen
         self.watch(expressions, zone)
         self._until: datetime | None = None
         """The last minute, in UTC, that was gone through."""
@@ -340,9 +350,11 @@ class CronClock:
         """By expression: what was said of its next time, and in which minute."""
         self._zone = zone
 
-    def begin(self, since: datetime) -> None:
-        """Go through the minutes after `since`, an aware time, if none was gone through yet."""
+    def begin(self, wall: datetime) -> None:
+        """Note from when on minutes are gone through: `seen`, or now if that is long ago."""
         if self._until is None:
+            is_near = self._seen is not None and timedelta() <= wall - self._seen <= LATE
+            since = self._seen if is_near and self._seen is not None else wall
             self._until = since.astimezone(UTC).replace(second=0, microsecond=0)
             self._until_local = self._local(self._until)
 

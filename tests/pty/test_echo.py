@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 import tty
 from contextlib import contextmanager
@@ -10,6 +11,8 @@ from pathlib import Path
 from select import select
 
 import pytest
+
+from lss_motion.sim.faults import Fault, FaultKind
 
 ARM = """\
 robot: arm
@@ -74,4 +77,28 @@ def test_a_show_plays_through_a_port_that_echoes(files, on_terminal, servo, lss_
         # Before it plays, and in its report.
         assert (out + errors).count("returns what is sent") == 2
         assert "another program" not in out + errors
+        assert any(line.startswith(b"#1D") for _, line in bus.lines)
+
+
+def test_the_doctor_names_a_port_that_only_echoes_and_one_with_servos_behind_it(
+    files, on_terminal, servo, lss_motion
+):
+    with echoing(None):
+        code, out, errors = lss_motion("doctor", "arm.yaml", "--port", "echo")
+        assert code == 4, out + errors
+        assert re.search(
+            r"^BAD +robot +port echo returns what is sent, and nothing else", out, re.MULTILINE
+        )
+    Path("echo").unlink()
+    with on_terminal(servo(1)), echoing("port"):
+        _, out, errors = lss_motion("doctor", "arm.yaml", "--port", "echo")
+        assert "its adapter echoes. The echo is left out" in out, out + errors
+        assert "1 servos answer as" in out
+
+
+def test_the_simulated_bus_can_echo(files, on_terminal, servo, lss_motion):
+    with on_terminal(servo(1), faults=[Fault(kind=FaultKind.ECHO)]) as bus:
+        code, out, errors = lss_motion("play", "x.yaml", "--port", "port", "--yes")
+        assert code == 0, out + errors
+        assert "port returns what is sent: its adapter echoes" in out + errors
         assert any(line.startswith(b"#1D") for _, line in bus.lines)

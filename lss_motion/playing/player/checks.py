@@ -503,8 +503,7 @@ def check(
     """
     answers = asked.answers
     robot.require_turns(joints)
-    filters = {name: tracker.line.echo for name, tracker in trackers.items()}
-    echoes = judge_echo(robot.buses, filters, {bus for bus, _, _ in answers})
+    echoes = check_echo(robot, answers, trackers)
     check_sensors(program, robot, answers)
     warnings = [
         *check_answers(joints, answers, robot, stored=asked.stored, show=program.on_fault),
@@ -517,6 +516,12 @@ def check(
     )
     rows = found(joints, answers, start_deg)
     return [*map(Warned, [*warnings, *more]), Checked(tuple(rows), tuple(notes))]
+
+
+def check_echo(robot: Robot, answers: Answers, trackers: Mapping[str, QueryTracker]) -> list[str]:
+    """Return a warning for each port that echoes; raise `BusError` if one does nothing else."""
+    filters = {name: tracker.line.echo for name, tracker in trackers.items()}
+    return judge_echo(robot.buses, filters, {bus for bus, _, _ in answers})
 
 
 def check_answers(

@@ -252,6 +252,10 @@ class Preflight:
     def next_wakeup_ns(self) -> int | None:
         return None if self._round is None else self._round.next_wakeup_ns()
 
+    def echoes(self) -> list[str]:
+        """Return a warning for each port that echoes; raise `BusError` if one does nothing else."""
+        return checks.check_echo(self._robot, self.answers, self._trackers)
+
     def require_own_ids(self) -> None:
         """Raise `BusError` if several servos answer to the id of a joint."""
         twins = self.twins

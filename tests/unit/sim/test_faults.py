@@ -476,3 +476,27 @@ def test_a_row_may_be_about_one_bus(two_buses):
         bus.advance(10**9)
         received[name] = [line for _, line in bus.lines]
     assert received == {"left": [], "right": [b"#254LED1\r"]}
+
+
+def test_an_adapter_that_echoes_returns_each_line_before_its_reply_and_the_reply_whole(
+    make_host, make_servo
+):
+    row = Fault(kind=FaultKind.ECHO, at_s=1.0, until_s=2.0)
+    host = make_host(make_servo(5), faults=[row])
+    assert host.ask("#5QG") == "*5QG1|"
+    host.wait_s(1.1)
+    assert host.ask("#5QG") == "#5QG|*5QG1|"
+    host.say("#5LED3")
+    assert host.bus.read(host.now_ns) == b"#5LED3\r"
+    host.bus.write(b"#7QD\r#5QLED\r", host.now_ns)
+    host.wait_s(0.05)
+    assert host.bus.read(host.now_ns) == b"#7QD\r#5QLED\r*5QLED3\r"
+    host.wait_s(1.0)
+    assert host.ask("#5QG") == "*5QG1|"
+
+
+@pytest.mark.parametrize("usb_latency_ns", [0, 16_000_000])
+def test_an_echo_wakes_the_host_as_a_reply_does(make_host, make_servo, usb_latency_ns):
+    row = Fault(kind=FaultKind.ECHO)
+    host = make_host(make_servo(5), faults=[row], usb_latency_ns=usb_latency_ns)
+    assert host.ask("#9QD") == "#9QD|"
