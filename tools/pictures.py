@@ -46,7 +46,7 @@ class Picture:
 PICTURES: Final = {
     "studio": Picture("owl.yaml", "1", 5.4),
     "studio_show": Picture("owl.yaml", "1", 5.4, (820, 1180), "light"),
-    "studio_timeline": Picture("hexapod_dance.yaml", "2sf", 8.0),
+    "studio_timeline": Picture("hexapod_dance.yaml", "22f", 8.0),
     "studio_robot": Picture("hexapod_dance.yaml", "3", 9.0, theme="light"),
 }
 STAGE_PICTURE: Final = "studio_stage"

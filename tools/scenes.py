@@ -364,10 +364,25 @@ def of_dialogs(browser: Browser, folder: Path) -> Iterator[Scene]:
         page.click(".about .file-line")
         page.wait("document.querySelector('.file-text [aria-current]')")
         yield own.asks("file", "scare.yaml", "at_rest")
+        page.run(
+            "[...document.querySelectorAll('dialog button')]"
+            ".find((one) => one.textContent === 'Change the text').click()"
+        )
+        page.wait("document.querySelector('textarea.file-text')")
+        yield own.asks("file_text", "scare.yaml", "at_rest")
+        page.key("Escape")
         page.key("Escape")
         page.key("Delete")
         page.wait("document.querySelector('.banner-note')")
         yield own.is_in("at_rest")._replace(name="hint")
+        page.key("Escape")
+        page.key("a")
+        page.wait("document.querySelector('.about h2')?.textContent === '5 keys'")
+        yield own.is_in("at_rest")._replace(name="keys")
+        page.key("Alt+a")
+        page.key("[")
+        page.wait("document.querySelector('.about h2')?.textContent.startsWith('Key')")
+        yield own.is_in("at_rest")._replace(name="key")
         page.key("Escape")
         with opened_again(browser, own.studio) as other:
             other.page.wait(

@@ -79,7 +79,7 @@ def test_over_help_pairing_and_questions(studio, opened, two, size):
     with studio(show, "--listen", "127.0.0.2") as own, noted(opened, own, size=size) as page:
         check_in_reach(page, "nothing open")
         for number in ("2", "3", "1"):
-            page.key(number)
+            page.key(f"Alt+{number}")
             check_in_reach(page, f"page {number}")
         page.key("?")
         page.wait(f"{TITLE} === 'Keys'")

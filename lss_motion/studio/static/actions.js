@@ -2,6 +2,7 @@
 /** What buttons and keys do: one table for pointer, keyboard and the accessible grid. */
 
 import { lowerBound, showTimeOf } from "./curves.js";
+import { Editor } from "./editor.js";
 import { layoutOf, walkedRows } from "./timeline/layout.js";
 
 /** @typedef {import("./store.js").Store} Store */
@@ -9,6 +10,10 @@ import { layoutOf, walkedRows } from "./timeline/layout.js";
 /** @typedef {import("./timeline/board.js").TimelineBoard} TimelineBoard */
 
 const STEP_S = 0.01;
+const STEP_DEG = 0.5;
+/** What is done to keys, for which a person has to be allowed to edit, and what needs chosen ones. */
+const EDITS = new Set(["add", "delete", "cut", "paste", "ease", "anchor", "undo", "redo", "save", "hold", "label", "type_value"]);
+const OF_CHOSEN = new Set(["delete", "copy", "cut", "ease", "anchor", "hold", "label", "type_value"]);
 const GO_DEBOUNCE_MS = 400;
 const ZOOM = 1.5;
 
@@ -22,6 +27,7 @@ export class Actions {
   constructor(store, link) {
     this.store = store;
     this.link = link;
+    this.editor = new Editor(store, link);
   }
 
   /** Do what a key or a button is called. @param {string} name */
@@ -29,30 +35,66 @@ export class Actions {
     const { store } = this;
     const state = store.state.value;
     if (name.startsWith("page_")) return this.set({ page: name.slice(5) });
+    if (!this.#mayDo(name)) return undefined;
     if (name.startsWith("order_")) return this.set({ order: Number(name.slice(6)) });
     const simple = /** @type {Record<string, () => void>} */ ({
       toggle: () => this.toggle(),
       go: () => this.go(),
-      step_back: () => this.move(-STEP_S),
-      step: () => this.move(STEP_S),
-      stride_back: () => this.move(-10 * STEP_S),
-      stride: () => this.move(10 * STEP_S),
+      step_back: () => this.step(-STEP_S, 0),
+      step: () => this.step(STEP_S, 0),
+      stride_back: () => this.step(-10 * STEP_S, 0),
+      stride: () => this.step(10 * STEP_S, 0),
+      up: () => this.step(0, STEP_DEG),
+      down: () => this.step(0, -STEP_DEG),
+      far_up: () => this.step(0, 10 * STEP_DEG),
+      far_down: () => this.step(0, -10 * STEP_DEG),
+      add: () => this.editor.addAtCursor(),
+      delete: () => this.editor.delete(),
+      copy: () => this.editor.copy(),
+      cut: () => this.editor.cut(),
+      paste: () => this.editor.paste(),
+      ease: () => this.editor.ease(),
+      anchor: () => this.editor.anchor(),
+      undo: () => this.editor.ask("undo"),
+      redo: () => this.editor.ask("redo"),
+      save: () => this.editor.ask("save"),
+      choose_all: () => this.editor.chooseAll(),
+      choose_none: () => this.editor.choose([]),
+      type_value: () => this.#focusField(this.editor.keys[0]?.joint ?? "at"),
+      hold: () => this.#focusField("hold"),
+      label: () => this.#focusField("label"),
+      axis_time: () => void this.board?.lockAxis("time"),
+      axis_angle: () => void this.board?.lockAxis("angle"),
+      ripple: () => this.set({ ripple: !state.ripple }),
+      open_text: () => this.#openText(),
       previous_key: () => this.toKey(-1),
       next_key: () => this.toKey(1),
-      row_up: () => this.toRow(state.row - 1),
-      row_down: () => this.toRow(state.row + 1),
       to_start: () => this.moveTo(0),
       to_end: () => this.moveTo(state.view?.view_s ?? 0),
       zoom_in: () => this.board?.zoom(ZOOM),
       zoom_out: () => this.board?.zoom(1 / ZOOM),
       fit: () => this.board?.fit(),
+      fit_chosen: () => this.#fitChosen(),
       follow: () => this.set({ follow: !state.follow }),
       theme: () => this.set({ theme: state.theme === "dark" ? "light" : "dark" }),
       theatre: () => this.set({ theatre: !state.theatre, page: "show" }),
       help: () => this.set({ dialog: { kind: "help" } }),
-      shows_only: () => this.hint("This page shows the plan and does not change it. Edit the file: a key names its line. A saved file is planned again at once."),
     });
     simple[name]?.();
+  }
+
+  /** Whether it can be done; says why not. @param {string} name */
+  #mayDo(name) {
+    const { welcome } = this.store.state.value;
+    if (EDITS.has(name) && welcome?.role !== "edit") {
+      this.store.dispatch({ type: "refused", text: "You may look here. Changing the show needs the role edit: pair again with it." });
+      return false;
+    }
+    if (OF_CHOSEN.has(name) && this.editor.keys.length === 0) {
+      this.hint("No key is chosen: click one, or draw a box round several. Double-click makes one.");
+      return false;
+    }
+    return true;
   }
 
   /** @param {Record<string, unknown>} fields */
@@ -65,10 +107,15 @@ export class Actions {
     this.store.dispatch({ type: "refused", text, is_hint: true });
   }
 
-  /** Close what is open: a question or help, a message, a drag, a selection; return whether it was. */
+  /** Close what is open: a field, a question or help, a menu, a message, a drag, a selection; return whether it was. */
   closeOpen() {
-    const { dialog, refusal, selection, page } = this.store.state.value;
-    if (dialog !== null) this.set({ dialog: null });
+    const { dialog, menu, refusal, selection, page } = this.store.state.value;
+    const field = document.activeElement;
+    if (field instanceof HTMLInputElement && field.matches(".about [data-field]:not([type=checkbox])")) {
+      field.value = field.dataset["was"] ?? "";
+      field.blur();
+    } else if (dialog !== null) this.set({ dialog: null });
+    else if (menu !== null) this.set({ menu: null });
     else if (refusal !== null) this.set({ refusal: null });
     else if (page === "timeline" && this.board?.dropDrags()) return true;
     else if (page === "timeline" && selection !== null) this.set({ selection: null });
@@ -186,9 +233,45 @@ export class Actions {
 
   // -------------------------------------------------------------------- the timeline
 
-  /** @param {number} by_s */
-  move(by_s) {
-    this.moveTo(this.store.state.value.cursor_s + by_s);
+  /** One step of an arrow key: of the chosen keys, else of the cursor or the row.
+   * @param {number} by_s @param {number} by_deg */
+  step(by_s, by_deg) {
+    const { cursor_s, row } = this.store.state.value;
+    const { keys } = this.editor;
+    if (keys.length > 0 && this.#mayDo("add")) this.editor.nudge(by_s, by_deg);
+    else if (keys.length === 0 && by_deg === 0) this.moveTo(cursor_s + by_s);
+    else if (keys.length === 0) this.toRow(row - Math.sign(by_deg));
+  }
+
+  /** Make a key where the menu was opened. */
+  addAtMenu() {
+    const { menu } = this.store.state.value;
+    this.set({ menu: null });
+    if (menu !== null && menu.row !== null && this.#mayDo("add")) this.editor.add(menu.row, menu.at_s, menu.deg);
+  }
+
+  /** @param {string} name */
+  #focusField(name) {
+    const fields = /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll(".about [data-field]")]);
+    const own = fields.find((one) => one.dataset["field"] === name) ?? fields[0];
+    own?.focus();
+    own?.select();
+  }
+
+  #openText() {
+    const { view } = this.store.state.value;
+    const [first] = this.editor.keys;
+    const lane = first === undefined ? undefined : view?.lanes[first.lane];
+    if (first !== undefined && lane !== undefined) {
+      this.set({ dialog: { kind: "text", file: lane.file, line: lane.keys[first.key]?.line ?? null } });
+    }
+  }
+
+  #fitChosen() {
+    const { view } = this.store.state.value;
+    const times_s = this.editor.keys.flatMap(({ lane, key }) => view?.lanes[lane]?.keys[key]?.at_s ?? []);
+    if (times_s.length < 2) this.board?.fit();
+    else this.board?.show(Math.min(...times_s), Math.max(...times_s));
   }
 
   /** @param {number} at_s */
@@ -217,7 +300,7 @@ export class Actions {
     const next = direction > 0 ? lowerBound(times_s, cursor_s + 1e-6) : lowerBound(times_s, cursor_s - 1e-6) - 1;
     const found = keys[next];
     if (found === undefined) return;
-    this.set({ selection: { kind: "key", lane: found.lane, key: found.key, joint: found.joint } });
+    this.editor.choose([{ lane: found.lane, key: found.key, joint: found.joint }]);
     this.moveTo(found.at_s);
   }
 }

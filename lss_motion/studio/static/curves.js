@@ -92,6 +92,27 @@ export function angleAt(curve, at_s) {
   return valueAt(curve, at_s, 0);
 }
 
+/** Instants of a curve at which its least and largest angle are looked for. */
+const SAMPLES = 400;
+
+/** Return least and largest angle of a curve. @param {Curve | undefined} curve @param {number} length_s
+ * @returns {[number, number]} */
+export function usedOf(curve, length_s) {
+  if (curve === undefined) return [0, 0];
+  let low = Infinity;
+  let high = -Infinity;
+  for (const deg of curve.deg) {
+    low = Math.min(low, deg);
+    high = Math.max(high, deg);
+  }
+  for (let index = 0; index <= SAMPLES; index += 1) {
+    const deg = angleAt(curve, (length_s * index) / SAMPLES);
+    low = Math.min(low, deg);
+    high = Math.max(high, deg);
+  }
+  return [low, high];
+}
+
 /**
  * Fill the least and largest value of each column of pixels: what a line through the curve covers.
  * @param {Curve} curve @param {Order} order @param {number} start_s left edge of column 0

@@ -32,8 +32,9 @@ export class ServerLink {
   #next_id = 1;
   #heard_ms = 0;
   #retry_ms = RETRY_MS;
-  /** @type {string | null} */
+  /** The plan whose view is here, and the revision of the text it is of. @type {string | null} */
   #plan = null;
+  #revision = -1;
   #robot = -1;
   /** When the planner was asked for what it has not answered yet. */
   #asked_ms = 0;
@@ -157,12 +158,17 @@ export class ServerLink {
         this.#store.dispatch({ type: "set", fields: { robot: await response.json() } });
       }).catch(() => void (this.#robot = -1));
     }
-    if (event.plan === null || event.plan === this.#plan) return;
+    // Another text may have the same plan, with its keys on other lines.
+    const isSame = event.plan === this.#plan;
+    if (event.plan === null || isSame && (!event.is_current || event.revision === this.#revision)) return;
     this.#plan = event.plan;
-    fetch(`/view/${event.plan}.json`).then(async (response) => {
+    const revision = this.#revision = event.is_current ? event.revision : -1;
+    fetch(`/view/${event.plan}.json`, isSame ? { cache: "reload" } : {}).then(async (response) => {
       const json = await response.json();
       if (!response.ok) throw new Error(json.error);
-      if (this.#plan === json.plan) this.#store.dispatch({ type: "view", view: viewFrom(json) });
+      if (this.#plan === json.plan && this.#revision === revision) {
+        this.#store.dispatch({ type: "view", view: { ...viewFrom(json), revision } });
+      }
     }).catch((error) => {
       this.#plan = null;
       this.#store.dispatch({ type: "refused", text: `the plan cannot be shown: ${error.message}` });
@@ -225,6 +231,7 @@ export class ServerLink {
     const wait_ms = this.#retry_ms;
     this.#retry_ms = Math.min(2 * this.#retry_ms, RETRY_MAX_MS);
     this.#plan = null;
+    this.#revision = -1;
     this.#robot = -1;
     setTimeout(() => {
       if (this.#socket === null) this.connect();

@@ -48,7 +48,6 @@ function RobotLoader(props) {
 }
 
 window.addEventListener("keydown", (event) => {
-  if (event.altKey) return;
   const name = keyName(event);
   const state = store.state.value;
   if (state.dialog !== null || keepsKey(document.activeElement, name)) return;

@@ -5,6 +5,7 @@
  */
 
 import { html } from "./vendor/preact.js";
+import { isChosen } from "./timeline/keys.js";
 import { layoutOf, walkedRows } from "./timeline/layout.js";
 import { timeText } from "./timeline/window.js";
 
@@ -16,16 +17,19 @@ export function Mirror({ state, actions }) {
   const { view, row, selection } = state;
   if (view === null) return null;
   const rows = walkedRows(layoutOf(view));
-  const chosen = selection?.kind === "key" ? selection : null;
+  const chosen = selection?.kind === "keys" ? selection.keys : null;
   return html`<div class="mirror" role="grid" tabindex="0" id="mirror"
     aria-label=${`Timeline of ${view.name}: rows are lanes and joints, cells are keys`}
     aria-rowcount=${rows.length} aria-activedescendant=${chosen === null ? `row-${row}` : "chosen-key"}>
     ${rows.map((own, index) => html`<div role="row" id=${`row-${index}`} key=${`${own.kind}-${own.index}`}
       aria-rowindex=${index + 1} aria-selected=${index === row}>
       <span role="rowheader">${nameOf(view, own)}</span>
-      ${index === row ? cellsOf(view, own, state).map((cell) => html`<span role="gridcell"
-        key=${cell.key} aria-colindex=${cell.index + 1} id=${cell.isChosen ? "chosen-key" : undefined}
-        aria-selected=${cell.isChosen} onClick=${() => actions.moveTo(cell.at_s)}>${cell.text}</span>`) : null}
+      ${index === row ? cellsOf(view, own, state).map((cell, _, all) => html`<span role="gridcell"
+        key=${cell.key} aria-colindex=${cell.index + 1} id=${cell === all.find((one) => one.isChosen) ? "chosen-key" : undefined}
+        aria-selected=${cell.isChosen} onClick=${() => {
+          actions.editor.choose([cell.ref]);
+          actions.moveTo(cell.at_s);
+        }}>${cell.text}</span>`) : null}
     </div>`)}
   </div>`;
 }
@@ -47,16 +51,18 @@ function cellsOf(view, row, state) {
     ? (view.keys[row.name] ?? []).map((key) => ({ at_s: key.at_s, lane: key.lane, key: key.key, text: `${key.deg} deg` }))
     : (view.lanes[row.index]?.keys ?? []).map((key, index) => (
       { at_s: key.at_s, lane: row.index, key: index, text: `${key.label} ${Object.keys(key.deg).length} joints`.trim() }));
-  const isChosen = (/** @type {{ lane: number, key: number }} */ key) => (
-    selection?.kind === "key" && selection.lane === key.lane && selection.key === key.key);
-  let middle = keys.findIndex(isChosen);
+  const chosen = selection?.kind === "keys" ? selection.keys : [];
+  const joint = row.kind === "joint" ? row.name : null;
+  const isOneChosen = (/** @type {{ lane: number, key: number }} */ key) => isChosen(chosen, key.lane, key.key, joint);
+  let middle = keys.findIndex(isOneChosen);
   if (middle < 0) middle = Math.max(keys.findIndex((key) => key.at_s >= cursor_s), 0);
   const first = Math.max(middle - AROUND, 0);
   return keys.slice(first, middle + AROUND + 1).map((key, offset) => {
     const own = view.lanes[key.lane]?.keys[key.key];
     const more = [own?.is_anchor ? "anchor" : "", own?.hold_s ? `held ${own.hold_s.toFixed(2)} s` : ""].filter(Boolean).join(", ");
     return {
-      key: `${key.lane}-${key.key}`, index: first + offset, at_s: key.at_s, isChosen: isChosen(key),
+      key: `${key.lane}-${key.key}`, index: first + offset, at_s: key.at_s, isChosen: isOneChosen(key),
+      ref: { lane: key.lane, key: key.key, joint },
       text: `${timeText(key.at_s, 0.001)}: ${key.text}${more ? `, ${more}` : ""}`,
     };
   });

@@ -1,6 +1,8 @@
 // @ts-check
 /** The state of the pages as a pure function: `reduce(state, action)`. */
 
+import { placesOf, refound } from "./timeline/keys.js";
+
 /** @typedef {import("./state.js").State} State */
 /** @typedef {import("./state.js").Action} Action */
 /** @typedef {import("./state.js").Trouble} Trouble */
@@ -49,6 +51,11 @@ export function firstState() {
     order: 0,
     follow: true,
     selection: null,
+    wanted: null,
+    drafts: 0,
+    is_dragging: false,
+    ripple: false,
+    menu: null,
     row: 0,
     dialog: null,
     refusal: null,
@@ -58,7 +65,13 @@ export function firstState() {
 /** Return the state after an action. @param {State} state @param {Action} action @returns {State} */
 export function reduce(state, action) {
   if (action.type === "event") return afterEvent(state, /** @type {any} */ (action)["event"]);
-  if (action.type === "set") return { ...state, .../** @type {Partial<State>} */ (action["fields"]) };
+  if (action.type === "set") {
+    const fields = /** @type {Partial<State>} */ (action["fields"]);
+    return { ...state, ...(fields.selection === undefined ? {} : { wanted: null }), ...fields };
+  }
+  if (action.type === "drafted") {
+    return { ...state, drafts: state.drafts + 1, wanted: /** @type {State["wanted"]} */ (action["wanted"]) };
+  }
   if (action.type === "refused") {
     const number = (state.refusal?.number ?? 0) + 1;
     return { ...state, refusal: { number, text: String(action["text"]), is_hint: action["is_hint"] === true } };
@@ -83,7 +96,13 @@ function afterSilence(state, planning_s) {
 function afterView(state, view) {
   const isOther = state.view === null || state.view.name !== view.name;
   const cursor_s = isOther ? 0 : Math.min(state.cursor_s, view.view_s);
-  return { ...state, view, cursor_s, selection: null, row: isOther ? 0 : state.row };
+  const { selection, wanted } = state;
+  const places = wanted ?? (selection?.kind === "keys" && state.view !== null ? placesOf(state.view, selection.keys) : []);
+  const keys = isOther ? [] : refound(view, places);
+  return {
+    ...state, view, cursor_s, menu: null, selection: keys.length === 0 ? null : { kind: "keys", keys },
+    row: isOther ? 0 : state.row,
+  };
 }
 
 /**

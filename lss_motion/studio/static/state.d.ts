@@ -6,7 +6,11 @@ export type Span = { from_s: number; to_s: number; joint: string; text: string }
 export type Key = {
   at_s: number; authored_s: number | null; hold_s: number; is_anchor: boolean; label: string;
   ease: string; line: number | null; deg: Record<string, number>;
+  /** Where its item stands in the file of its lane. */
+  place: (string | number)[] | null;
 };
+/** A key of a lane, whole or only the angle of a joint. */
+export type KeyRef = { lane: number; key: number; joint: string | null };
 export type Lane = {
   name: string; kind: "track" | "layer" | "part"; file: string; is_added: boolean; joints: string[]; keys: Key[];
   times_s: Float64Array;
@@ -30,6 +34,8 @@ export type ShowEvent = { at_s: number; kind: string; text: string; line: number
 export type Mark = { label: string; at_s: number; is_anchor: boolean };
 export type View = {
   plan: string; name: string; robot: string; duration_s: number | null; view_s: number;
+  /** That of the document of which it is the plan. */
+  revision: number;
   is_endless: boolean; repeat: null | { from_s: number; to_s: number; times: number | null };
   tolerance_deg: number; joints: JointView[]; lanes: Lane[];
   parts: { name: string; from_s: number; to_s: number }[];
@@ -61,6 +67,10 @@ export type Document = {
   revision: number; file: string; kind: string; title: string; is_planning: boolean; planning_s: number;
   errors: { path: string; line: number | null; text: string }[]; notes: string[];
   plan: string | null; is_current: boolean; has_planner: boolean; summary: string[]; robot: number;
+  editing: {
+    undo: string | null; redo: string | null; unsaved: string[];
+    conflicts: { file: string; difference: string[] }[]; recovered: string[];
+  };
 };
 export type Player = { state: string; latch: "stop" | "estop" | null; plan: string | null; show_s: number | null; text: string };
 export type StageCue = {
@@ -83,7 +93,7 @@ export type Stage = {
 export type StageNote = { number: number; kind: string; text: string };
 export type Page = "show" | "timeline" | "robot";
 export type Selection =
-  | { kind: "key"; lane: number; key: number; joint: string | null }
+  | { kind: "keys"; keys: KeyRef[] }
   | { kind: "span"; list: "stretched" | "given_up"; index: number }
   | { kind: "joint"; joint: string }
   | null;
@@ -120,6 +130,13 @@ export type State = {
   order: 0 | 1 | 2;
   follow: boolean;
   selection: Selection;
+  /** What is chosen when the edits under way are planned. */
+  wanted: import("./timeline/keys.js").Place[] | null;
+  /** Edits that are not planned yet, and whether a key is being dragged. */
+  drafts: number;
+  is_dragging: boolean;
+  ripple: boolean;
+  menu: null | { x_px: number; y_px: number; at_s: number; row: import("./timeline/layout.js").Row | null; deg: number | undefined };
   row: number;
   dialog: null | { kind: string; file?: string; line?: number | null; title?: string; text?: string; yes?: string; run?: () => void };
   refusal: null | { number: number; text: string; is_hint: boolean };

@@ -1,14 +1,13 @@
 // @ts-check
-/** The Timeline page: the plan to look at, with what was read while it plays, and the figure. */
+/** The Timeline page: keys to shape the show by, its plan, what was read while it plays, the figure. */
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
-import { angleAt, valueAt } from "../curves.js";
-import { Mirror } from "../mirror.js";
-import { number } from "../numbers.js";
 import { FigurePanel } from "../figure/panel.js";
+import { Mirror } from "../mirror.js";
+import { Menu } from "../parts/menu.js";
 import { TimelineBoard } from "../timeline/board.js";
-import { FileLine, whyNoPlan } from "../parts/text.js";
 import { timeText } from "../timeline/window.js";
+import { About } from "./about.js";
 
 /** @typedef {import("../state.js").State} State */
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
@@ -20,7 +19,7 @@ export function TimelinePage({ state, actions, store }) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
   useEffect(() => {
     if (place.current === null) return undefined;
-    const board = new TimelineBoard(place.current, store, () => actions.run("shows_only"));
+    const board = new TimelineBoard(place.current, store, actions);
     actions.board = board;
     return () => {
       actions.board = null;
@@ -38,6 +37,7 @@ export function TimelinePage({ state, actions, store }) {
       <section class="card" aria-label="Figure"><${FigurePanel} store=${store} isSought /></section>
       <section class="card about" aria-label="What is chosen" aria-live="polite"><${About} state=${state} actions=${actions} /></section>
     </aside>
+    <${Menu} state=${state} actions=${actions} />
   </main>`;
 }
 
@@ -51,9 +51,33 @@ function Tools({ state, actions }) {
     <button type="button" aria-label="Zoom in" onClick=${() => actions.run("zoom_in")}>+</button>
     <button type="button" onClick=${() => actions.run("fit")}>Fit</button>
     <button type="button" aria-pressed=${state.follow} onClick=${() => actions.run("follow")}>Follow</button>
+    <button type="button" aria-pressed=${state.ripple} title="Later keys move, too" onClick=${() => actions.run("ripple")}>Ripple</button>
+    <${Edits} state=${state} actions=${actions} />
     <span class="cursor-time">cursor <output>${timeText(state.cursor_s, 0.001)}</output></span>
     <${Legend} state=${state} />
   </div>`;
+}
+
+/** What a person does with the whole text, and whether what is seen was checked.
+ * @param {{ state: State, actions: import("../actions.js").Actions }} props */
+function Edits({ state, actions }) {
+  const own = state.document;
+  if (own === null || state.view === null) return null;
+  const { undo, redo, unsaved } = own.editing;
+  return html`<span class="edits">
+    <button type="button" disabled=${undo === null} title=${`Undo ${undo ?? ""}`} onClick=${() => actions.run("undo")}>Undo</button>
+    <button type="button" disabled=${redo === null} title=${`Redo ${redo ?? ""}`} onClick=${() => actions.run("redo")}>Redo</button>
+    <button type="button" disabled=${unsaved.length === 0} title=${unsaved.join(", ")} onClick=${() => actions.run("save")}>Save</button>
+    <${Badge} state=${state} own=${own} view=${state.view} /></span>`;
+}
+
+/** Draft or checked, in a word: only what is checked is played.
+ * @param {{ state: State, own: import("../state.js").Document, view: import("../state.js").View }} props */
+function Badge({ state, own, view }) {
+  if (own.errors.length > 0) return html`<span class="chip chip-bad" role="status">▲ not checked: an error</span>`;
+  if (state.drafts > 0 || state.is_dragging || !own.is_current) return html`<span class="chip chip-busy" role="status">◇ draft</span>`;
+  const slowed = view.stretched.length === 0 ? "" : `, ${view.stretched.length} slowed`;
+  return html`<span class=${`chip ${slowed === "" ? "chip-good" : "chip-warn"}`} role="status">✓ checked${slowed}</span>`;
 }
 
 /** @param {{ state: State }} props */
@@ -65,51 +89,4 @@ function Legend({ state }) {
   if (view?.given_up.length) all.push(["given-up", "angle given up"]);
   return html`<ul class="legend" aria-label="Legend">${all.map(([name, text]) => html`<li key=${name}><i class=${`swatch swatch-${name}`}></i>${text}</li>`)}
     <li><i class="swatch swatch-key"></i>key</li><li><i class="swatch swatch-anchor"></i>anchor</li></ul>`;
-}
-
-/** What is chosen, in words. @param {{ state: State, actions: import("../actions.js").Actions }} props */
-function About({ state, actions }) {
-  const { view, selection } = state;
-  if (view === null) return html`<p class="muted">${whyNoPlan(state)}</p>`;
-  if (selection?.kind === "key") {
-    const key = view.lanes[selection.lane]?.keys[selection.key];
-    return key === undefined ? null : html`<${AboutKey} view=${view} own=${key} lane=${view.lanes[selection.lane]} actions=${actions} />`;
-  }
-  if (selection?.kind === "span") {
-    const span = view[selection.list][selection.index];
-    const title = selection.list === "stretched" ? "Slowed" : "Angle given up";
-    return span === undefined ? null : html`<h2>${title}</h2><p>${span.text}</p>`;
-  }
-  return html`<${AboutPlan} state=${state} actions=${actions} />`;
-}
-
-/** @param {{ view: import("../state.js").View, own: import("../state.js").Key, lane: import("../state.js").Lane | undefined, actions: import("../actions.js").Actions }} props */
-function AboutKey({ view, own, lane, actions }) {
-  const late_s = own.authored_s === null ? 0 : own.at_s - own.authored_s;
-  return html`<h2>${own.is_anchor ? "Anchor" : "Key"} ${own.label}</h2>
-    <p>at ${timeText(own.at_s, 0.001)}${Math.abs(late_s) > 5e-4 ? html`, <strong class="warn-text">${late_s.toFixed(3)} s later than authored</strong>` : null}
-      ${own.line === null || !lane?.file ? "" : html`, <${FileLine} actions=${actions} file=${lane.file} line=${own.line} />`}, ${lane?.kind} ${lane?.name}, ease ${own.ease}${own.hold_s > 0 ? `, held ${own.hold_s.toFixed(2)} s` : ""}</p>
-    <table class="small"><thead><tr><th>joint</th><th>key</th><th>plan</th><th>deg/s</th></tr></thead><tbody>
-      ${Object.entries(own.deg).map(([joint, deg]) => {
-        const curve = view.curves[joint]?.plan;
-        if (curve === undefined) return null;
-        return html`<tr key=${joint}><th scope="row">${joint}</th><td class="number">${lane?.is_added && deg > 0 ? "+" : ""}${String(deg).replace("-", "−")}</td>
-          <td class="number">${number(angleAt(curve, own.at_s), 2)}</td><td class="number">${number(valueAt(curve, own.at_s, 1), 1)}</td></tr>`;
-      })}</tbody></table>`;
-}
-
-/** @param {{ state: State, actions: import("../actions.js").Actions }} props */
-function AboutPlan({ state, actions }) {
-  const { view } = state;
-  if (view === null) return null;
-  const spans = /** @type {const} */ (["stretched", "given_up"]);
-  return html`<h2>${view.name}</h2>
-    <p class="muted">${view.joints.length} joints, ${view.lanes.reduce((sum, lane) => sum + lane.keys.length, 0)} keys, ${view.is_endless ? "without end" : timeText(view.duration_s ?? 0, 0.1)}</p>
-    ${spans.every((list) => view[list].length === 0) ? html`<p>Nothing is slowed, no angle is given up.</p>` : null}
-    <ul class="reasons scroll">${spans.flatMap((list) => view[list].map((span, index) => html`<li key=${`${list}-${index}`}>
-      <button type="button" class="plain" onClick=${() => {
-        actions.set({ selection: { kind: "span", list, index } });
-        actions.moveTo(span.from_s);
-      }}>${span.text}</button></li>`))}</ul>
-    ${state.document?.notes.map((note) => html`<p class="muted">${note}</p>`)}`;
 }

@@ -1,7 +1,7 @@
 // @ts-check
 /** Every question, and help: STOP works above them, by key and by the buttons. */
 
-import { html, useLayoutEffect, useRef } from "../vendor/preact.js";
+import { html, useLayoutEffect, useRef, useState } from "../vendor/preact.js";
 import { KEYMAP, STOP_KEYS } from "../keymap.js";
 import { Choice } from "./choice.js";
 import { FileText } from "./text.js";
@@ -16,7 +16,7 @@ export function Dialogs({ state, actions }) {
   if (dialog.kind === "help") return html`<${Box} title="Keys" close=${close}><${Help} /></${Box}>`;
   if (dialog.kind === "text") {
     const file = dialog.file ?? "";
-    return html`<${Box} title=${file} close=${close}><${FileText} file=${file} line=${dialog.line ?? null} /></${Box}>`;
+    return html`<${Box} title=${file} close=${close}><${FileText} ...${{ state, actions, file }} line=${dialog.line ?? null} /></${Box}>`;
   }
   if (dialog.kind === "pairing" && state.pairing !== null) {
     return html`<${Box} title="Pair another device" close=${close}><${Pairing} pairing=${state.pairing} actions=${actions} /></${Box}>`;
@@ -46,12 +46,17 @@ function Box({ title, close, yes, run, children }) {
 }
 
 function Help() {
-  return html`<table class="keys"><tbody>
-    ${[...STOP_KEYS, ...KEYMAP].filter((one) => one.action !== "shows_only").map((one) => html`<tr key=${one.action}>
+  const [sought, setSought] = useState("");
+  const isSought = (/** @type {import("../keymap.js").Binding} */ { text, keys }) => (
+    text !== "" && `${text} ${keys.join(" ")}`.toLowerCase().includes(sought.toLowerCase()));
+  return html`<label class="field"><span>search</span> <input type="search" value=${sought}
+      onInput=${(/** @type {Event} */ event) => setSought(/** @type {HTMLInputElement} */ (event.currentTarget).value)} /></label>
+  <table class="keys"><tbody>
+    ${[...STOP_KEYS, ...KEYMAP].filter(isSought).map((one) => html`<tr key=${one.action}>
       <th scope="row">${one.keys.map((key) => html`<kbd>${key.replace("Arrow", "")}</kbd> `)}</th>
       <td>${one.text}${one.pages ? html` <span class="muted">(${one.pages.join(", ")})</span>` : null}</td></tr>`)}
   </tbody></table>
-  <p class="muted">Timeline: wheel scrolls, Ctrl and wheel zooms, Shift and wheel pans; drag to pan, drag the ruler for the cursor. Keys are changed in the file: the page shows them.</p>`;
+  <p class="muted">Timeline: click a key, Shift-click more, or draw a box; drag them, with Ctrl to what is near (keys, labels, cursor, grid), with Shift ten times as fine. Right click or a long touch: the menu. Wheel scrolls, Ctrl and wheel zooms, Shift and wheel or the middle button pans; drag the ruler for the cursor.</p>`;
 }
 
 /** What a role may, as a person says it. */

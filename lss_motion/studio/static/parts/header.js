@@ -71,6 +71,17 @@ function Operator({ state, actions }) {
       : html`<button type="button" class="plain" onClick=${() => actions.withLease(() => actions.link.ask("lease", { want: "take" }))}>Operate</button>`}${pair}</span>`;
 }
 
+/** A file that is edited here and was changed elsewhere: nothing is overwritten before a person has chosen.
+ * @param {Props & { file: string, difference: string[] }} props */
+function ChangedOnDisk({ state, actions, file, difference }) {
+  /** @param {"ours" | "disk"} what */
+  const keep = (what) => actions.link.ask("disk.keep", { revision: state.document?.revision ?? 0, file, what });
+  return html`<div class="banner banner-warn" role="alert"><p>${file} was changed on disk while it is edited here; it is not overwritten.
+      <button type="button" onClick=${() => keep("ours")}>Keep what is here</button>
+      <button type="button" onClick=${() => keep("disk")}>Take what is on disk</button></p>
+    <details><summary>What differs</summary><pre class="difference">${difference.join("\n")}</pre></details></div>`;
+}
+
 /** What stands above the page besides the state: what was refused, errors of the file. @param {Props} props */
 export function Banners({ state, actions }) {
   const { player, document: own, welcome, refusal } = state;
@@ -78,6 +89,9 @@ export function Banners({ state, actions }) {
     ${refusal ? html`<p class=${`banner ${refusal.is_hint ? "banner-note" : "banner-warn"}`} role="alert" key=${refusal.number}>${refusal.is_hint ? "" : "✕ "}${refusal.text}
       <button type="button" onClick=${() => actions.set({ refusal: null })}>Close</button></p>` : null}
     ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><${FileLine} actions=${actions} file=${error.path} line=${error.line} /> ${error.text}</p>`)}
+    ${own?.editing.conflicts.map((one) => html`<${ChangedOnDisk} key=${one.file} ...${{ state, actions, ...one }} />`)}
+    ${own !== null && own.editing.recovered.length > 0
+      ? html`<p class="banner banner-note" role="status">Edits that were not saved were found again: ${own.editing.recovered.join(", ")}. Save keeps them, Undo gives them up.</p>` : null}
     ${actions.isRunning && player.plan !== null && own?.plan != null && own.plan !== player.plan
       ? html`<p class="banner banner-note" role="status">The file has changed since START: what plays is as it was; times, cues and curves shown are the new ones. The next START plays them.</p>` : null}
     ${welcome?.is_network_readable ? html`<p class="banner banner-note">This link has no TLS: others on the network can read along.</p>` : null}

@@ -9,21 +9,77 @@ export function FileLine({ actions, file, line }) {
   return html`<button type="button" class="plain file-line" onClick=${() => actions.set({ dialog: { kind: "text", file, line } })}>${place}</button>`;
 }
 
-/** The text of a file, at a line. @param {{ file: string, line: number | null }} props */
-export function FileText({ file, line }) {
-  const [text, setText] = useState("");
+/** What was typed and is not given to the server yet, by file: closing the text loses nothing. @type {Map<string, string>} */
+const typed = new Map();
+
+/** The text of a file, at a line: to read, and to change. @param {{ state: import("../state.js").State, actions: import("../actions.js").Actions, file: string, line: number | null }} props */
+export function FileText({ state, actions, file, line }) {
+  const [text, setText] = useState(/** @type {string | null} */ (null));
   const [problem, setProblem] = useState("");
+  const [isEdited, setEdited] = useState(typed.has(file));
   const marked = useRef(/** @type {HTMLElement | null} */ (null));
+  const revision = state.document?.revision ?? 0;
   useEffect(() => {
     fetch(`/text/${file.split("/").map(encodeURIComponent).join("/")}`).then(async (response) => {
       if (response.ok) setText(await response.text());
       else setProblem((await response.json()).error);
     }, () => setProblem("the server cannot be reached"));
-  }, [file]);
-  useEffect(() => marked.current?.scrollIntoView({ block: "center" }), [text]);
-  if (problem !== "") return html`<p class="bad-text">${problem}</p>`;
-  return html`<ol class="file-text" tabindex="0">${text.split("\n").map((own, index) => html`<li key=${index}
+  }, [file, revision]);
+  useEffect(() => marked.current?.scrollIntoView({ block: "center" }), [text === null]);
+  if (problem !== "" && text === null) return html`<p class="bad-text">${problem}</p>`;
+  if (text === null) return html`<p class="muted">Loading…</p>`;
+  if (isEdited) {
+    return html`<${EditedText} ...${{ state, actions, file, line, text, revision }} done=${() => {
+      typed.delete(file);
+      setEdited(false);
+    }} />`;
+  }
+  return html`${state.welcome?.role === "edit" ? html`<div class="choices"><button type="button" onClick=${() => setEdited(true)}>Change the text</button></div>` : null}
+    <ol class="file-text" tabindex="0">${text.split("\n").map((own, index) => html`<li key=${index}
     ref=${index + 1 === line ? marked : undefined} aria-current=${index + 1 === line ? "true" : undefined}>${own || " "}</li>`)}</ol>`;
+}
+
+/** @param {{ state: import("../state.js").State, actions: import("../actions.js").Actions, file: string, line: number | null, text: string, revision: number, done: () => void }} props */
+function EditedText({ state, actions, file, line, text, revision, done }) {
+  const [problem, setProblem] = useState("");
+  const place = useRef(/** @type {HTMLTextAreaElement | null} */ (null));
+  useEffect(() => {
+    const own = place.current;
+    if (own === null || line === null) return;
+    const start = text.split("\n").slice(0, line - 1).join("\n").length + (line > 1 ? 1 : 0);
+    own.focus();
+    own.setSelectionRange(start, start);
+    own.scrollTop = (own.scrollHeight * (line - 4)) / Math.max(text.split("\n").length, 1);
+  }, []);
+  const take = () => {
+    const change = changedLines(text, place.current?.value ?? text);
+    if (change === null) return done();
+    actions.link.send("text.set", { revision, file, ...change }).then(done, (error) => setProblem(error.message));
+    return undefined;
+  };
+  const errors = state.document?.errors.filter((one) => one.path === file) ?? [];
+  return html`<textarea class="file-text" ref=${place} spellcheck=${false} aria-label=${`text of ${file}`}
+      onInput=${(/** @type {Event} */ event) => typed.set(file, /** @type {HTMLTextAreaElement} */ (event.currentTarget).value)}>${typed.get(file) ?? text}</textarea>
+    ${problem === "" ? null : html`<p class="bad-text" role="alert">${problem}</p>`}
+    ${errors.map((one) => html`<p class="bad-text">line ${one.line}: ${one.text}</p>`)}
+    <div class="choices"><button type="button" class="primary" onClick=${take}>Take it</button>
+      <button type="button" onClick=${done}>Leave the text as it was</button></div>`;
+}
+
+/**
+ * Return the lines that are others: those from one line to before another one become `lines`; null
+ * where nothing is. @param {string} before @param {string} after
+ * @returns {{ from_line: number, to_line: number, lines: string[] } | null}
+ */
+export function changedLines(before, after) {
+  if (before === after) return null;
+  const [old, own] = [before.split("\n"), after.split("\n")];
+  let first = 0;
+  while (first < Math.min(old.length, own.length) && old[first] === own[first]) first += 1;
+  let same = 0;
+  const most = Math.min(old.length, own.length) - first;
+  while (same < most && old[old.length - 1 - same] === own[own.length - 1 - same]) same += 1;
+  return { from_line: first + 1, to_line: old.length - same + 1, lines: own.slice(first, own.length - same) };
 }
 
 /** A plan of an ordinary show takes less: longer is worth a word. */

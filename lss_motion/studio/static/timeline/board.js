@@ -4,22 +4,23 @@
  * everything else comes from the store. Layers are drawn in the next frame after something changed.
  */
 
-import { angleAt, withinView } from "../curves.js";
+import { angleAt, usedOf, withinView } from "../curves.js";
 import { onFrame, requestFrame } from "../frames.js";
-import { drawLive, drawNames, drawTimeline } from "./draw.js";
+import { draftOf } from "./draft.js";
+import { drawLive, drawNames, drawTimeline, scaleOf } from "./draw.js";
+import { drawBox, drawDraft } from "./draw_draft.js";
+import { afterInput, HELD_MS, REST } from "./gestures.js";
 import { hitAt, REACH_PX, TOUCH_REACH_PX } from "./hit.js";
+import { heightOf, isSame, joined, keysInBox } from "./keys.js";
 import { layoutOf, NAMES_PX, rowsInSight, scrolledTo, scrollMax, walkedRows } from "./layout.js";
 import { paletteOf } from "./palette.js";
+import { evened, STEPS_DEG, STEPS_S } from "./snap.js";
 import { fitted, following, kept, panned, pixelOf, timeAt, zoomed } from "./window.js";
 
 /** @typedef {import("../store.js").Store} Store */
 /** @typedef {import("./window.js").Window} Window */
 
 const WHEEL_FACTOR = 1.0015;
-const DRAG_PX = 4;
-const SAMPLES = 400;
-
-/** @typedef {{ id: number, x_px: number, y_px: number, from_x_px: number, kind: "pan" | "cursor" | "key", isMoved: boolean }} Drag */
 
 export class TimelineBoard {
   /** @type {Store} */
@@ -43,9 +44,10 @@ export class TimelineBoard {
   #drawn = "";
   #live = "";
   #isFitted = true;
-  /** @type {Map<number, Drag>} */
-  #drags = new Map();
-  #showsOnly;
+  /** @type {import("./gestures.js").Gesture} */
+  #gesture = REST;
+  #held = 0;
+  #actions;
   /** @type {(() => void)[]} */
   #ends = [];
   /** How many keys the last drawing had, for tests. */
@@ -53,10 +55,10 @@ export class TimelineBoard {
 
   /**
    * @param {HTMLElement} element filled with the canvases @param {Store} store
-   * @param {() => void} showsOnly called when somebody tries to change a key
+   * @param {import("../actions.js").Actions} actions
    */
-  constructor(element, store, showsOnly) {
-    this.#showsOnly = showsOnly;
+  constructor(element, store, actions) {
+    this.#actions = actions;
     this.#element = element;
     this.#store = store;
     for (const name of ["names", "plan", "live"]) {
@@ -72,13 +74,10 @@ export class TimelineBoard {
     const listen = /** @type {[string, (event: any) => void][]} */ ([
       ["pointerdown", (event) => this.#press(event)],
       ["pointermove", (event) => this.#move(event)],
-      ["pointerup", (event) => this.#release(event)],
-      ["dblclick", () => this.#showsOnly()],
-      ["contextmenu", (event) => {
-        event.preventDefault();
-        this.#showsOnly();
-      }],
-      ["pointercancel", (event) => void this.#drags.delete(event.pointerId)],
+      ["pointerup", (event) => this.#handle({ kind: "up", finger: fingerOf(event) })],
+      ["dblclick", (event) => this.#double(event)],
+      ["contextmenu", (event) => this.#context(event)],
+      ["pointercancel", () => this.#handle({ kind: "drop" })],
     ]);
     for (const [name, act] of listen) live.addEventListener(name, act);
     element.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
@@ -86,7 +85,12 @@ export class TimelineBoard {
     this.#resize();
   }
 
+  get #editor() {
+    return this.#actions.editor;
+  }
+
   dispose() {
+    window.clearTimeout(this.#held);
     for (const end of this.#ends) end();
     this.#element.replaceChildren();
   }
@@ -115,6 +119,12 @@ export class TimelineBoard {
   fit() {
     this.#isFitted = true;
     this.#look(fitted(this.#length_s, this.#seen.width_px), true);
+  }
+
+  /** Show from one instant to another. @param {number} from_s @param {number} to_s */
+  show(from_s, to_s) {
+    const own = fitted(to_s - from_s, this.#seen.width_px);
+    this.#look(kept({ ...own, start_s: own.start_s + from_s }, this.#length_s));
   }
 
   /** Bring an instant into sight. @param {number} at_s */
@@ -146,6 +156,7 @@ export class TimelineBoard {
   #resize() {
     const width_px = Math.max(this.#element.clientWidth - NAMES_PX, 50);
     this.#height_px = Math.max(this.#element.clientHeight, 50);
+    if (this.#view !== null) this.#layout = layoutOf(this.#view, this.#height_px);
     this.#seen = this.#isFitted ? fitted(this.#length_s, width_px)
       : kept({ ...this.#seen, width_px }, this.#length_s);
     const ratio = window.devicePixelRatio || 1;
@@ -163,8 +174,8 @@ export class TimelineBoard {
   /** @param {import("../state.js").View} view */
   #take(view) {
     this.#view = view;
-    this.#layout = layoutOf(view);
-    this.#used_deg = Object.fromEntries(view.joints.map((joint) => [joint.name, usedOf(view, joint.name)]));
+    this.#layout = layoutOf(view, this.#height_px);
+    this.#used_deg = Object.fromEntries(view.joints.map(({ name }) => [name, usedOf(view.curves[name]?.plan, view.view_s)]));
     this.#scroll_px = Math.min(this.#scroll_px, scrollMax(this.#layout, this.#height_px));
     this.#seen = this.#isFitted ? fitted(view.view_s, this.#seen.width_px) : kept(this.#seen, view.view_s);
     this.#drawn = "";
@@ -178,7 +189,7 @@ export class TimelineBoard {
     this.#palette ??= paletteOf(this.#element);
     this.#scroll_px = Math.min(Math.max(this.#scroll_px, 0), scrollMax(this.#layout, this.#height_px));
     const playhead_s = this.#playhead(state);
-    const isDragged = this.#drags.size > 0;
+    const isDragged = this.#gesture.kind !== "rest";
     if (state.follow && playhead_s !== null && state.player.state === "playing" && !isDragged) {
       this.#seen = following(this.#seen, playhead_s, this.#length_s);
     }
@@ -224,6 +235,10 @@ export class TimelineBoard {
       segments,
       toView: (at_s) => withinView(view, at_s),
     });
+    const gesture = this.#gesture;
+    if (gesture.kind === "box" && gesture.isMoved) drawBox(live, scene, boxOf(gesture.from, gesture.at));
+    const draft = gesture.kind === "keys" ? this.#draft(gesture) : null;
+    if (gesture.kind === "keys" && draft !== null) drawDraft(live, scene, draft, gesture.hit, gesture.at);
   }
 
   /** @param {import("../state.js").State} state @returns {number | null} */
@@ -249,91 +264,197 @@ export class TimelineBoard {
 
   /** @param {PointerEvent} event */
   #press(event) {
-    if (event.button !== 0 && event.button !== 1) return;
+    if (event.button > 1) return;
     const canvas = /** @type {HTMLCanvasElement} */ (event.currentTarget);
     canvas.setPointerCapture(event.pointerId);
     const hit = this.#hit(event);
-    const kind = hit?.kind === "ruler" ? "cursor" : hit?.kind === "key" && event.pointerType !== "touch" ? "key" : "pan";
-    this.#drags.set(event.pointerId, {
-      id: event.pointerId, x_px: event.offsetX, y_px: event.offsetY, from_x_px: event.offsetX, kind, isMoved: false,
+    if ((event.ctrlKey || event.metaKey) && hit?.kind === "row") {
+      this.#add(event, hit);
+      return;
+    }
+    const isTouch = event.pointerType === "touch";
+    this.#handle({
+      kind: "down", finger: fingerOf(event), hit, isTouch, isMiddle: event.button === 1, isAdded: event.shiftKey,
+      isChosen: hit?.kind === "key" && this.#editor.keys.some((own) => isSame(own, hit)),
     });
-    if (kind === "cursor") this.#setCursor(event.offsetX);
+    if (isTouch) this.#held = window.setTimeout(() => this.#handle({ kind: "held" }), HELD_MS);
   }
 
   /** @param {PointerEvent} event */
   #move(event) {
-    const drag = this.#drags.get(event.pointerId);
-    if (drag === undefined) {
+    if (this.#gesture.kind === "rest") {
       const kind = this.#hit(event)?.kind ?? "nothing";
-      this.#element.style.cursor = kind === "key" || kind === "span" ? "pointer" : "";
+      this.#element.style.cursor = kind === "key" ? "grab" : kind === "span" ? "pointer" : "";
       return;
     }
-    const by_px = drag.x_px - event.offsetX;
-    const down_px = drag.y_px - event.offsetY;
-    if (!drag.isMoved && Math.hypot(by_px, down_px) < DRAG_PX) return;
-    if (drag.kind === "key") {
-      if (!drag.isMoved) this.#showsOnly();
-      this.#element.style.cursor = "not-allowed";
-    } else if (drag.kind === "cursor") {
-      this.#setCursor(event.offsetX);
-    } else if (this.#drags.size === 2) {
-      const other = /** @type {Drag} */ ([...this.#drags.values()].find((one) => one !== drag));
-      const before_px = Math.max(Math.abs(drag.x_px - other.x_px), 20);
-      const after_px = Math.max(Math.abs(event.offsetX - other.x_px), 20);
-      this.#look(zoomed(this.#seen, after_px / before_px, other.x_px, this.#length_s));
-    } else {
-      this.#look(panned(this.#seen, by_px, this.#length_s), this.#isFitted && by_px === 0);
-      this.#scroll_px += down_px;
+    this.#handle({ kind: "move", finger: fingerOf(event), isFine: event.shiftKey, snaps: event.ctrlKey || event.metaKey });
+  }
+
+  /** Go on with the gesture, and do what it says. @param {import("./gestures.js").Input} input */
+  #handle(input) {
+    const before = this.#gesture.kind;
+    const [next, acts] = afterInput(this.#gesture, input);
+    this.#gesture = next;
+    const isHeld = next.kind === "press" || next.kind === "pan" && !next.isMoved;
+    if (!isHeld) window.clearTimeout(this.#held);
+    if (next.kind === "keys" && before !== "keys") {
+      this.#element.style.cursor = "grabbing";
+      this.#store.dispatch({ type: "set", fields: { is_dragging: true } });
     }
-    drag.isMoved = true;
-    drag.x_px = event.offsetX;
-    drag.y_px = event.offsetY;
+    for (const act of acts) this.#do(act);
   }
 
-  /** @param {PointerEvent} event */
-  #release(event) {
-    const drag = this.#drags.get(event.pointerId);
-    this.#drags.delete(event.pointerId);
-    if (drag === undefined || drag.isMoved || drag.kind === "cursor") return;
-    this.#choose(this.#hit(event));
+  /** @param {import("./gestures.js").Act} act */
+  #do(act) {
+    switch (act.act) {
+      case "cursor": return this.#setCursor(act.x_px);
+      case "zoom": return this.#look(zoomed(this.#seen, act.factor, act.x_px, this.#length_s));
+      case "pan":
+        this.#look(panned(this.#seen, act.by_px, this.#length_s), this.#isFitted && act.by_px === 0);
+        this.#scroll_px += act.down_px;
+        return undefined;
+      case "choose": return this.#choose(act.hit, act.isAdded);
+      case "toggle": return this.#editor.choose(joined(this.#editor.keys, [refOf(act.hit)], true));
+      case "box": return this.#chooseBox(act);
+      case "menu": return this.#menu(act.at, act.hit);
+      case "commit": return this.#commit(act.gesture);
+      case "draft": return this.#redraw();
+      default:
+        this.#element.style.cursor = "";
+        this.#store.dispatch({ type: "set", fields: { is_dragging: false } });
+        return this.#redraw();
+    }
   }
 
-  /** End the drags under way; return whether there were any. */
+  #redraw() {
+    this.#live = "";
+    requestFrame();
+  }
+
+  /** End the drag under way; return whether there was one. */
   dropDrags() {
-    const hasAny = this.#drags.size > 0;
-    this.#drags.clear();
+    const hasAny = this.#gesture.kind !== "rest";
+    this.#handle({ kind: "drop" });
     return hasAny;
   }
 
-  /** @param {import("./hit.js").Hit | null} hit */
-  #choose(hit) {
+  /** Keep dragged keys on one axis, or let them free again; return whether any are dragged.
+   * @param {"time" | "angle"} axis */
+  lockAxis(axis) {
+    this.#handle({ kind: "axis", axis });
+    return this.#gesture.kind === "keys";
+  }
+
+  /** @param {import("./hit.js").Hit | null} hit @param {boolean} isAdded */
+  #choose(hit, isAdded) {
     if (hit === null || this.#layout === null) return;
     const walked = walkedRows(this.#layout);
     /** @param {string} kind @param {number} index */
     const rowOf = (kind, index) => Math.max(walked.findIndex((row) => row.kind === kind && row.index === index), 0);
     /** @type {Record<string, unknown>} */
-    let fields = { selection: null };
+    let fields = isAdded ? {} : { selection: null };
     if (hit.kind === "key") {
       const joint = this.#view?.joints.findIndex((own) => own.name === hit.joint) ?? -1;
-      fields = {
-        selection: { kind: "key", lane: hit.lane, key: hit.key, joint: hit.joint },
-        row: joint >= 0 ? rowOf("joint", joint) : rowOf("lane", hit.lane),
-      };
+      const keys = isAdded ? joined(this.#editor.keys, [refOf(hit)], false) : [refOf(hit)];
+      fields = { selection: { kind: "keys", keys }, row: joint >= 0 ? rowOf("joint", joint) : rowOf("lane", hit.lane) };
     } else if (hit.kind === "span") {
       fields = { selection: { kind: "span", list: hit.list, index: hit.index } };
     } else if (hit.kind === "row" && (hit.row.kind === "joint" || hit.row.kind === "lane")) {
-      fields = { selection: null, row: rowOf(hit.row.kind, hit.row.index) };
+      fields = { ...fields, row: rowOf(hit.row.kind, hit.row.index) };
     }
     this.#store.dispatch({ type: "set", fields });
     this.#store.dispatch({ type: "cursor", at_s: hit.at_s });
   }
 
-  /** @param {PointerEvent} event */
+  /** @param {Extract<import("./gestures.js").Act, { act: "box" }>} box */
+  #chooseBox({ from, to, isAdded }) {
+    if (this.#view === null || this.#layout === null) return;
+    const rows = rowsInSight(this.#layout, this.#scroll_px, this.#height_px);
+    const found = keysInBox(this.#view, rows, this.#seen, boxOf(from, to), (row, key) => this.#keyY(row, key));
+    this.#editor.choose(isAdded ? joined(this.#editor.keys, found, false) : found);
+  }
+
+  /** @param {import("./gestures.js").Gesture} gesture */
+  #commit(gesture) {
+    if (gesture.kind !== "keys") return;
+    const { by_s, by_deg } = this.#draft(gesture) ?? { by_s: 0, by_deg: 0 };
+    if (by_s !== 0 || by_deg !== 0) this.#editor.move({ by_s, by_deg });
+  }
+
+  /** @param {import("./draft.js").KeysGesture} gesture */
+  #draft(gesture) {
+    const view = this.#view;
+    const row = this.#layout === null ? undefined : rowsInSight(this.#layout, this.#scroll_px, this.#height_px)
+      .find((own) => own.kind === "joint" && own.name === gesture.hit.joint);
+    if (view === null) return null;
+    const { order, cursor_s } = this.#store.state.value;
+    const deg_per_px = row === undefined || order !== 0 ? 0 : 1 / Math.abs(this.#scale(row).y(1) - this.#scale(row).y(0));
+    return draftOf(gesture, { view, seen: this.#seen, keys: this.#editor.keys, cursor_s, deg_per_px });
+  }
+
+  /** @param {MouseEvent} event */
+  #double(event) {
+    const hit = this.#hit(event);
+    if (hit?.kind === "key") this.#actions.run("type_value");
+    else if (hit?.kind === "row") this.#add(event, hit);
+  }
+
+  /** Add a key where the pointer is. @param {MouseEvent} event @param {Extract<import("./hit.js").Hit, { kind: "row" }>} hit */
+  #add(event, hit) {
+    if (hit.row.kind !== "joint" && hit.row.kind !== "lane") return;
+    this.#editor.add(hit.row, evened(hit.at_s, STEPS_S.coarse), this.#degAt(hit.row, event.offsetY));
+  }
+
+  /** Return the angle at a height of a joint's row; undefined where it shows none.
+   * @param {import("./layout.js").Row} row @param {number} y_px */
+  #degAt(row, y_px) {
+    const joint = this.#view?.joints[row.index];
+    if (row.kind !== "joint" || joint === undefined || this.#store.state.value.order !== 0) return undefined;
+    const { y } = this.#scale(row);
+    const deg = (y_px - y(0)) / (y(1) - y(0));
+    return evened(Math.min(Math.max(deg, joint.range_deg[0]), joint.range_deg[1]), STEPS_DEG.coarse);
+  }
+
+  /** @param {MouseEvent} event */
+  #context(event) {
+    event.preventDefault();
+    // A long touch has asked for it already.
+    if (/** @type {PointerEvent} */ (event).pointerType === "touch") return;
+    this.#menu({ x_px: event.offsetX, y_px: event.offsetY }, this.#hit(event));
+  }
+
+  /** @param {{ x_px: number, y_px: number }} at @param {import("./hit.js").Hit | null} hit */
+  #menu(at, hit) {
+    if (hit === null) return;
+    if (hit.kind !== "key" || !this.#editor.keys.some((own) => isSame(own, refOf(hit)))) this.#choose(hit, false);
+    const rows = this.#layout === null ? [] : rowsInSight(this.#layout, this.#scroll_px, this.#height_px);
+    const row = rows.find((own) => (own.kind === "joint" || own.kind === "lane") && at.y_px >= own.y_px && at.y_px < own.y_px + own.height_px) ?? null;
+    const { left, top } = this.#element.getBoundingClientRect();
+    const deg = row === null ? undefined : this.#degAt(row, at.y_px);
+    const place = { x_px: left + NAMES_PX + at.x_px, y_px: top + at.y_px };
+    this.#store.dispatch({ type: "set", fields: { menu: { ...place, at_s: evened(hit.at_s, STEPS_S.coarse), row, deg } } });
+  }
+
+  /** @param {MouseEvent} event */
   #hit(event) {
     if (this.#view === null || this.#layout === null) return null;
     const rows = rowsInSight(this.#layout, this.#scroll_px, this.#height_px);
-    const reach_px = event.pointerType === "touch" ? TOUCH_REACH_PX : REACH_PX;
-    return hitAt(this.#view, rows, this.#seen, { x_px: event.offsetX, y_px: event.offsetY, reach_px });
+    const isTouch = /** @type {PointerEvent} */ (event).pointerType === "touch";
+    const point = { x_px: event.offsetX, y_px: event.offsetY, reach_px: isTouch ? TOUCH_REACH_PX : REACH_PX };
+    if (this.#store.state.value.order !== 0) return hitAt(this.#view, rows, this.#seen, point);
+    return hitAt(this.#view, rows, this.#seen, { ...point, yOf: (row, key) => this.#keyY(row, key) });
+  }
+
+  /** @param {import("./layout.js").Row} row */
+  #scale(row) {
+    const view = /** @type {import("../state.js").View} */ (this.#view);
+    return scaleOf({ view, order: this.#store.state.value.order, used_deg: this.#used_deg }, row);
+  }
+
+  /** @param {import("./layout.js").Row} row @param {import("../state.js").JointKey} key */
+  #keyY(row, key) {
+    const plan = this.#view?.curves[row.name]?.plan;
+    return heightOf(key, this.#scale(row).y, (at_s) => (plan === undefined ? 0 : angleAt(plan, at_s)));
   }
 
   /** @param {number} x_px */
@@ -356,21 +477,20 @@ export class TimelineBoard {
   }
 }
 
-/** Return least and largest angle of a joint's plan. @param {import("../state.js").View} view
- * @param {string} joint @returns {[number, number]} */
-function usedOf(view, joint) {
-  const curve = view.curves[joint]?.plan;
-  if (curve === undefined) return [0, 0];
-  let low = Infinity;
-  let high = -Infinity;
-  for (const deg of curve.deg) {
-    low = Math.min(low, deg);
-    high = Math.max(high, deg);
-  }
-  for (let index = 0; index <= SAMPLES; index += 1) {
-    const deg = angleAt(curve, (view.view_s * index) / SAMPLES);
-    low = Math.min(low, deg);
-    high = Math.max(high, deg);
-  }
-  return [low, high];
+/** @param {PointerEvent} event @returns {import("./gestures.js").Finger} */
+function fingerOf(event) {
+  return { id: event.pointerId, x_px: event.offsetX, y_px: event.offsetY };
+}
+
+/** @param {import("./gestures.js").KeyHit} hit @returns {import("../state.js").KeyRef} */
+function refOf({ lane, key, joint }) {
+  return { lane, key, joint };
+}
+
+/** @param {{ x_px: number, y_px: number }} one @param {{ x_px: number, y_px: number }} other @returns {import("./keys.js").Box} */
+function boxOf(one, other) {
+  return {
+    left_px: Math.min(one.x_px, other.x_px), right_px: Math.max(one.x_px, other.x_px),
+    top_px: Math.min(one.y_px, other.y_px), bottom_px: Math.max(one.y_px, other.y_px),
+  };
 }

@@ -7,6 +7,7 @@
 
 import { angleAt, fillColumns, lowerBound, valueAt } from "../curves.js";
 import { number } from "../numbers.js";
+import { heightOf, isChosen } from "./keys.js";
 import { rangeOf } from "./layout.js";
 import { endOf, pixelOf, tickStep, timeText } from "./window.js";
 
@@ -25,7 +26,7 @@ import { endOf, pixelOf, tickStep, timeText } from "./window.js";
  * @property {Record<string, [number, number]>} used_deg least and largest angle of each joint
  */
 
-const KEY_PX = 4.5;
+export const KEY_PX = 4.5;
 /** Keys closer together than this are small ticks; closer than `CROWDED_PX` they hide the curve. */
 const TIGHT_PX = 9;
 const CROWDED_PX = 4;
@@ -225,18 +226,22 @@ function drawWave(ctx, scene, row) {
 function drawLane(ctx, scene, row) {
   const lane = /** @type {import("../state.js").Lane} */ (scene.view.lanes[row.index]);
   const y_px = row.y_px + row.height_px / 2;
-  const { selection } = scene;
-  const chosen = selection?.kind === "key" && selection.lane === row.index ? selection.key : -1;
-  return drawKeys(ctx, scene, lane.times_s, (index) => /** @type {import("../state.js").Key} */ (lane.keys[index]), y_px, chosen);
+  const chosen = chosenKeys(scene);
+  return drawKeys(ctx, scene, lane.times_s, (index) => /** @type {import("../state.js").Key} */ (lane.keys[index]), y_px, (index) => isChosen(chosen, row.index, index, null));
+}
+
+/** @param {Scene} scene */
+function chosenKeys({ selection }) {
+  return selection?.kind === "keys" ? selection.keys : [];
 }
 
 /**
  * Draw the holds and keys of a row, a diamond each, an anchor as a square with a bar; return how
  * many. Keys on one pixel are one. @param {Ctx} ctx @param {Scene} scene
  * @param {ArrayLike<number>} times_s @param {(index: number) => { hold_s: number, is_anchor: boolean }} keyAt
- * @param {number} y_px @param {number} chosen index of the selected key, or -1
+ * @param {number} y_px @param {(index: number) => boolean} isOneChosen
  */
-function drawKeys(ctx, scene, times_s, keyAt, y_px, chosen) {
+function drawKeys(ctx, scene, times_s, keyAt, y_px, isOneChosen) {
   const { seen, palette } = scene;
   const margin_s = 2 / seen.px_per_s + 30;
   const first = lowerBound(times_s, seen.start_s - margin_s);
@@ -263,11 +268,10 @@ function drawKeys(ctx, scene, times_s, keyAt, y_px, chosen) {
     }
     ctx.fill();
   }
-  const chosen_s = times_s[chosen];
-  if (chosen_s !== undefined) {
-    ctx.strokeStyle = palette.selected;
-    ctx.lineWidth = 2;
-    ctx.strokeRect(pixelOf(seen, chosen_s) - 7, y_px - 8, 14, 16);
+  ctx.strokeStyle = palette.selected;
+  ctx.lineWidth = 2;
+  for (let index = first; index < end; index += 1) {
+    if (isOneChosen(index)) ctx.strokeRect(pixelOf(seen, /** @type {number} */ (times_s[index])) - 7, y_px - 8, 14, 16);
   }
   return drawn;
 }
@@ -296,7 +300,7 @@ function keyPath(ctx, x, y, isAnchor, size_px) {
 }
 
 /** @param {Ctx} ctx @param {number} x @param {number} y @param {number} size_px */
-function diamond(ctx, x, y, size_px) {
+export function diamond(ctx, x, y, size_px) {
   ctx.moveTo(x, y - size_px);
   ctx.lineTo(x + size_px, y);
   ctx.lineTo(x, y + size_px);
@@ -305,7 +309,7 @@ function diamond(ctx, x, y, size_px) {
 }
 
 /** Return the function from value to pixel of a joint's row.
- * @param {Scene} scene @param {Row} row @returns {{ y: (value: number) => number, low: number, high: number }} */
+ * @param {Pick<Scene, "view" | "order" | "used_deg">} scene @param {Row} row @returns {{ y: (value: number) => number, low: number, high: number }} */
 export function scaleOf(scene, row) {
   const joint = /** @type {import("../state.js").JointView} */ (scene.view.joints[row.index]);
   const [low, high] = rangeOf(joint, scene.order, scene.used_deg[row.name] ?? [0, 0]);
@@ -331,9 +335,9 @@ function drawJoint(ctx, scene, row) {
   drawCurve(ctx, scene, curves.plan, scale.y, palette.plan, []);
   drawError(ctx, scene, row, curves);
   const keys = view.keys[row.name] ?? [];
-  const { selection } = scene;
-  const chosen = selection?.kind === "key" ? keys.findIndex((key) => key.lane === selection.lane && key.key === selection.key) : -1;
-  return drawPoints(ctx, scene, keys, scale.y, curves.plan, chosen);
+  const chosen = chosenKeys(scene);
+  const isOneChosen = (/** @type {import("../state.js").JointKey} */ key) => isChosen(chosen, key.lane, key.key, row.name);
+  return drawPoints(ctx, scene, keys, scale.y, curves.plan, isOneChosen);
 }
 
 /** Whether any of a joint's spans is slowed in sight: elsewhere authored and plan are the same.
@@ -501,8 +505,8 @@ function drawError(ctx, scene, row, curves) {
 
 /** Keys of a joint on its curve. @param {Ctx} ctx @param {Scene} scene
  * @param {import("../state.js").JointKey[]} keys @param {(value: number) => number} y
- * @param {import("../curves.js").Curve} plan @param {number} chosen */
-function drawPoints(ctx, scene, keys, y, plan, chosen) {
+ * @param {import("../curves.js").Curve} plan @param {(key: import("../state.js").JointKey) => boolean} isOneChosen */
+function drawPoints(ctx, scene, keys, y, plan, isOneChosen) {
   const { seen, palette, order } = scene;
   if (order !== 0 || plan.times_s.length === 0) return 0;
   let first = 0;
@@ -513,8 +517,8 @@ function drawPoints(ctx, scene, keys, y, plan, chosen) {
   const isCrowded = end - first > 2 && (seen.width_px / (end - first)) < CROWDED_PX;
   let previous_px = -Infinity;
   let drawn = 0;
-  /** What is added to other angles stands on the sum. @param {import("../state.js").JointKey} key */
-  const yOf = (key) => y(key.is_added ? angleAt(plan, key.at_s) : key.deg);
+  /** @param {import("../state.js").JointKey} key */
+  const yOf = (key) => heightOf(key, y, (at_s) => angleAt(plan, at_s));
   ctx.fillStyle = palette.hold;
   for (let index = first; index < end; index += 1) {
     const key = /** @type {import("../state.js").JointKey} */ (keys[index]);
@@ -537,12 +541,9 @@ function drawPoints(ctx, scene, keys, y, plan, chosen) {
     }
     ctx.fill();
   }
-  const own = keys[chosen];
-  if (own !== undefined) {
-    ctx.strokeStyle = palette.selected;
-    ctx.lineWidth = 2;
-    ctx.strokeRect(pixelOf(seen, own.at_s) - 7, yOf(own) - 7, 14, 14);
-  }
+  ctx.strokeStyle = palette.selected;
+  ctx.lineWidth = 2;
+  for (const own of keys.slice(first, end)) if (isOneChosen(own)) ctx.strokeRect(pixelOf(seen, own.at_s) - 7, yOf(own) - 7, 14, 14);
   return drawn;
 }
 

@@ -13,6 +13,11 @@ export const REACH_PX = 6;
 export const TOUCH_REACH_PX = 22;
 
 /**
+ * @typedef {{ x_px: number, y_px: number, reach_px: number,
+ *   yOf?: (row: Row, key: import("../state.js").JointKey) => number }} Point `yOf`: where the keys of
+ * joints stand; without it they are as high as their row
+ */
+/**
  * @typedef {{ kind: "ruler", at_s: number }
  *   | { kind: "key", lane: number, key: number, joint: string | null, at_s: number }
  *   | { kind: "span", list: "stretched" | "given_up", index: number, at_s: number }
@@ -23,7 +28,7 @@ export const TOUCH_REACH_PX = 22;
 
 /**
  * Return what is at a point. @param {View} view @param {Row[]} rows in sight @param {Window} seen
- * @param {{ x_px: number, y_px: number, reach_px: number }} point @returns {Hit}
+ * @param {Point} point @returns {Hit}
  */
 export function hitAt(view, rows, seen, point) {
   const at_s = timeAt(seen, point.x_px);
@@ -46,12 +51,13 @@ export function hitAt(view, rows, seen, point) {
 }
 
 /** @param {View} view @param {Row} row @param {Window} seen
- * @param {{ x_px: number, y_px: number, reach_px: number }} point @returns {Hit} */
+ * @param {Point} point @returns {Hit} */
 function hitJoint(view, row, seen, point) {
   const at_s = timeAt(seen, point.x_px);
   const keys = view.keys[row.name] ?? [];
   const found = keys[nearest(keys.map((key) => key.at_s), seen, point)];
-  if (found !== undefined) {
+  const off_px = found === undefined || point.yOf === undefined ? 0 : Math.abs(point.yOf(row, found) - point.y_px);
+  if (found !== undefined && off_px <= point.reach_px) {
     return { kind: "key", lane: found.lane, key: found.key, joint: row.name, at_s: found.at_s };
   }
   for (const list of /** @type {const} */ (["stretched", "given_up"])) {

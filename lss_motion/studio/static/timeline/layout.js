@@ -27,11 +27,13 @@ export const JOINT_PX = 76;
 /** A show with many joints gets lower rows. */
 const JOINT_LOW_PX = 64;
 const MANY_JOINTS = 9;
+/** A show with few joints gets higher ones, in which an angle can be taken well. */
+const JOINT_HIGH_PX = 200;
 /** More lanes than these are scrolled with the joints. */
 const FIXED_LANES_MAX = 4;
 
-/** Return the rows of a view. @param {View} view @returns {Layout} */
-export function layoutOf(view) {
+/** Return the rows of a view, as high as there is room. @param {View} view @param {number} [height_px] @returns {Layout} */
+export function layoutOf(view, height_px = 0) {
   /** @type {Row[]} */
   const fixed = [];
   /** @type {Row[]} */
@@ -49,7 +51,9 @@ export function layoutOf(view) {
   });
   const lanes = view.lanes.length > FIXED_LANES_MAX ? scrolled : fixed;
   view.lanes.forEach((lane, index) => add(lanes, "lane", lane.name, index, LANE_PX));
-  const joint_px = view.joints.length > MANY_JOINTS ? JOINT_LOW_PX : JOINT_PX;
+  const least_px = view.joints.length > MANY_JOINTS ? JOINT_LOW_PX : JOINT_PX;
+  const room_px = height_px - heightOf(fixed) - heightOf(scrolled) - LINE_PX * Object.keys(view.line).length;
+  const joint_px = Math.max(Math.min(Math.floor(room_px / view.joints.length), JOINT_HIGH_PX), least_px);
   view.joints.forEach((joint, index) => add(scrolled, "joint", joint.name, index, joint_px));
   Object.keys(view.line).forEach((bus, index) => add(scrolled, "line", bus, index, LINE_PX));
   return { fixed, scrolled, fixed_px: heightOf(fixed), scrolled_px: heightOf(scrolled) };
