@@ -392,7 +392,7 @@ def of_dialogs(browser: Browser, folder: Path) -> Iterator[Scene]:
             other.page.wait("document.querySelector('dialog h2')")
             title = other.page.run("document.querySelector('dialog h2').textContent")
             yield other.asks("take_over", title, "at_rest")
-        page.key("3")
+        page.key("Alt+3")
         own.click("Connect")
         own.is_in("connected")
         own.click("Limp all …")
