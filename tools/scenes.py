@@ -358,32 +358,7 @@ def of_dialogs(browser: Browser, folder: Path) -> Iterator[Scene]:
         own.click("Pair a tablet")
         yield own.asks("pairing", "Pair another device", "at_rest")
         page.key("Escape")
-        page.key("2")
-        page.wait("document.querySelector('.board-plan')")
-        page.key("]")
-        page.click(".about .file-line")
-        page.wait("document.querySelector('.file-text [aria-current]')")
-        yield own.asks("file", "scare.yaml", "at_rest")
-        page.run(
-            "[...document.querySelectorAll('dialog button')]"
-            ".find((one) => one.textContent === 'Change the text').click()"
-        )
-        page.wait("document.querySelector('textarea.file-text')")
-        yield own.asks("file_text", "scare.yaml", "at_rest")
-        page.key("Escape")
-        page.key("Escape")
-        page.key("Delete")
-        page.wait("document.querySelector('.banner-note')")
-        yield own.is_in("at_rest")._replace(name="hint")
-        page.key("Escape")
-        page.key("a")
-        page.wait("document.querySelector('.about h2')?.textContent === '5 keys'")
-        yield own.is_in("at_rest")._replace(name="keys")
-        page.key("Alt+a")
-        page.key("[")
-        page.wait("document.querySelector('.about h2')?.textContent.startsWith('Key')")
-        yield own.is_in("at_rest")._replace(name="key")
-        page.key("Escape")
+        yield from _of_keys(own)
         with opened_again(browser, own.studio) as other:
             other.page.wait(
                 "document.querySelector('.operator')?.textContent.includes(' operates')"
@@ -400,6 +375,37 @@ def of_dialogs(browser: Browser, folder: Path) -> Iterator[Scene]:
         page.key("Escape")
         own.click("Save over home …")
         yield own.asks("save_over", "Save over home?", "connected")
+
+
+def _of_keys(own: Opened) -> Iterator[Scene]:
+    """Go through the text of a file, a hint, several keys and one."""
+    page = own.page
+    page.key("2")
+    page.wait("document.querySelector('.board-plan')")
+    page.key("]")
+    page.click(".about .file-line")
+    page.wait("document.querySelector('.file-text [aria-current]')")
+    yield own.asks("file", "scare.yaml", "at_rest")
+    page.run(
+        "[...document.querySelectorAll('dialog button')]"
+        ".find((one) => one.textContent === 'Change the text').click()"
+    )
+    page.wait("document.querySelector('textarea.file-text')")
+    yield own.asks("file_text", "scare.yaml", "at_rest")
+    page.key("Escape")
+    page.key("Escape")
+    page.key("Delete")
+    page.wait("document.querySelector('.banner-note')")
+    yield own.is_in("at_rest")._replace(name="hint")
+    page.key("Escape")
+    page.key("a")
+    page.wait("document.querySelector('.about h2')?.textContent === '5 keys'")
+    yield own.is_in("at_rest")._replace(name="keys")
+    page.key("Alt+a")
+    page.key("[")
+    page.wait("document.querySelector('.about h2')?.textContent.startsWith('Key')")
+    yield own.is_in("at_rest")._replace(name="key")
+    page.key("Escape")
 
 
 def of_files(browser: Browser, folder: Path) -> Iterator[Scene]:
