@@ -422,7 +422,11 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
     rate_bps = arguments.new_baud
     servos = roll_call(connection, bus.name)
     if not servos:
-        raise BusError(f"no servo replies on {bus.port} at {bus.baud_bps} bps", url=bus.port)
+        raise BusError(
+            f"no servo replies on {bus.port} at {bus.baud_bps} bps; `lss-motion scan {bus.port}` "
+            f"finds them at every rate",
+            url=bus.port,
+        )
     _require_own_ids(servos, bus.port)
     expected = set(arguments.ids or [present.servo_id for present in servos])
     if robot is not None and not arguments.ids:
@@ -432,7 +436,8 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
             listed = ", ".join(map(str, sorted(missing)))
             raise InputError(
                 f"servo {listed} does not reply and would stay alone at {bus.baud_bps} bps; plug "
-                f"it in, or add --force"
+                f"it in, or add --force if it has {rate_bps} bps already (`lss-motion scan "
+                f"{bus.port}`)"
             )
         expected |= {present.servo_id for present in servos}
     chosen = [present for present in servos if present.servo_id in expected]
