@@ -12,6 +12,7 @@ import os
 import pty
 import re
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -52,6 +53,14 @@ keyframes:
   - {at_s: 0.6, deg: {pan: -20, tilt: 20}}
   - {at_s: 1.2, deg: {pan: 0, tilt: 0}}
 """
+STAGE: Final = """\
+stage: nodding
+robot: robot.yaml
+shows: {nod: show.yaml}
+idle: nod
+"""
+GAIT: Final = "trot.yaml"
+SEQUENCES: Final = Path(__file__).resolve().parents[2] / "sequences"
 BACKUP: Final = "backup.yaml"
 COMMANDS: Final = (
     "play show.yaml --yes",
@@ -67,6 +76,9 @@ COMMANDS: Final = (
     "configure --port port --id 1 --new-id 5 --yes",
     "configure robot.yaml --new-baud 57600 --yes",
     f"configure robot.yaml --restore {BACKUP} --yes",
+    "serve stage.yaml",
+    "studio show.yaml --no-browser",
+    f"walk {GAIT} --port port --yes",
 )
 SIGNALS: Final = (
     (signal.SIGINT,),
@@ -81,7 +93,8 @@ AFTER_LINES: Final = (0, 1, 2, 4, 7, 12, 20, 35, 60, 120)
 program handles signals."""
 SEEDS: Final = len(COMMANDS) * len(SIGNALS) * len(AFTER_LINES)
 """Each combination once."""
-OUTPUTS: Final = {"robot.yaml", "show.yaml", "port", BACKUP, "shown.yaml", "robot.learnt.yaml"}
+OUTPUTS: Final = {"shown.yaml", "robot.learnt.yaml", "log"}
+"""What a command may leave, besides the files that it was given."""
 IN_FRONT: Final = (
     "import os, sys; os.setsid(); os.close(os.open(os.ttyname(0), os.O_RDWR)); "
     "from lss_motion.cli.start import main; sys.exit(main())"
@@ -89,6 +102,7 @@ IN_FRONT: Final = (
 WAIT_S: Final = 60.0
 """A command that has not ended so long after its signal hangs."""
 LOOK_S: Final = 0.002
+QUIET_S: Final = 0.7
 TWICE_S: Final = 0.1
 REST_NS: Final = 12_000_000_000
 """Every move has ended by then: the longest T."""
@@ -110,7 +124,7 @@ def play(seed: int, options: argparse.Namespace) -> Told:
     after = AFTER_LINES[seed // (len(COMMANDS) * len(SIGNALS)) % len(AFTER_LINES)]
     names = " and ".join(one.name for one in signals)
     about = f"lss-motion {words}: {names} after {after} lines"
-    with tempfile.TemporaryDirectory() as folder, _served(Path(folder)) as bus:
+    with tempfile.TemporaryDirectory() as folder, _served(Path(folder), words) as bus:
         if BACKUP in words:
             _run(Path(folder), f"configure robot.yaml --backup {BACKUP} --yes").wait(WAIT_S)
         one = _Interrupted(Path(folder), words, bus, signals, after)
@@ -120,11 +134,16 @@ def play(seed: int, options: argparse.Namespace) -> Told:
 
 
 @contextmanager
-def _served(folder: Path) -> Iterator[SimBus]:
-    """Serve two servos behind the port `port` of a folder, from a thread."""
+def _served(folder: Path, words: str) -> Iterator[SimBus]:
+    """Serve the servos behind the port `port` of a folder, from a thread: two, or those of legs."""
     (folder / "robot.yaml").write_text(ROBOT)
     (folder / "show.yaml").write_text(SHOW)
-    bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
+    (folder / "stage.yaml").write_text(STAGE)
+    (folder / "robots").mkdir()
+    shutil.copy(SEQUENCES / "robots" / "quadruped.yaml", folder / "robots")
+    shutil.copy(SEQUENCES / "quadruped_trot.yaml", folder / GAIT)
+    robot = load_robot(folder / ("robots/quadruped.yaml" if GAIT in words else "robot.yaml"))
+    bus = bus_from_robot(robot, next(iter(robot.buses)), seed=1)
     bus.record()
     with served_bus(bus, folder / "port"):
         yield bus
@@ -155,9 +174,10 @@ class _Interrupted:
     def __init__(
         self, folder: Path, words: str, bus: SimBus, signals: tuple[signal.Signals, ...], after: int
     ) -> None:
-        self._folder, self._words, self._signals = folder, words, signals
+        self._words, self._signals = words, signals
         self.screen = ""
         own_fd, their_fd = pty.openpty()
+        given = {path.name for path in folder.iterdir()}
         assert bus.lines is not None
         first = len(bus.lines)
         process = _run(folder, words, their_fd)
@@ -182,9 +202,19 @@ class _Interrupted:
             self.code = None
             process.kill()
             process.wait(WAIT_S)
+        self._wait_for_rest(bus)
         reader.join(WAIT_S)
         os.close(own_fd)
+        self._left = {path.name for path in folder.iterdir()} - given - OUTPUTS - {"state"}
         self._received = [line for _, line in bus.lines[first:]]
+
+    def _wait_for_rest(self, bus: SimBus) -> None:
+        """Wait until its helpers, which may outlive it, send nothing more."""
+        assert bus.lines is not None
+        end_s, count = time.monotonic() + WAIT_S, -1
+        while count != len(bus.lines) and time.monotonic() < end_s:
+            count = len(bus.lines)
+            wait_for((), QUIET_S)
 
     def _read(self, fd: int) -> None:
         while select.select([fd], [], [], WAIT_S)[0]:
@@ -214,9 +244,8 @@ class _Interrupted:
         ends_itself = is_killed or self._words.startswith("send")  # Its one move was asked for.
         if moves and not ends_itself and not self._is_safe_after(moves[-1]):
             found.append(f"no halt follows the last move: {self._received[-3:]}")
-        left = {path.name for path in self._folder.iterdir()} - OUTPUTS - {"state"}
-        if left:
-            found.append(f"files are left: {sorted(left)}")
+        if self._left:
+            found.append(f"files are left: {sorted(self._left)}")
         return found
 
     def _is_safe_after(self, last: int) -> bool:
