@@ -103,6 +103,10 @@ WAIT_S: Final = 60.0
 """A command that has not ended so long after its signal hangs."""
 LOOK_S: Final = 0.002
 QUIET_S: Final = 0.7
+START_S: Final = 20.0
+"""A command that has sent nothing by then waits for a key, or for a browser."""
+KEY_S: Final = 3.0
+"""The same of one that has sent nothing more."""
 TWICE_S: Final = 0.1
 REST_NS: Final = 12_000_000_000
 """Every move has ended by then: the longest T."""
@@ -184,11 +188,13 @@ class _Interrupted:
         os.close(their_fd)
         reader = threading.Thread(target=self._read, args=(own_fd,))
         reader.start()
-        end_s = time.monotonic() + WAIT_S
         while process.poll() is None and not _handles_signals(process.pid):
             wait_for((), LOOK_S)
+        end_s, count = time.monotonic() + START_S, first
         while len(bus.lines) - first < after and process.poll() is None:
-            if time.monotonic() > end_s:  # It waits for a key, and asks nothing more.
+            if len(bus.lines) > count:
+                end_s, count = time.monotonic() + KEY_S, len(bus.lines)
+            if time.monotonic() > end_s:
                 break
             wait_for((), LOOK_S)
         self.is_early = process.poll() is not None
