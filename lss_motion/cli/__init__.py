@@ -14,6 +14,7 @@ doctor          `doctor`, `devices`: check this computer; its sound devices
 examples        `example`: list the packaged examples, write one
 exchange        `import`, `export`: motion of other tools, and motion for them
 identify        `identify`: measure the response of servos
+import_urdf     `import-urdf`: a robot that others described, as a robot file
 manual          `reference`, `completion`: pages of servo commands, scripts for shells
 monitor         `monitor`: the live state of all servos
 planning        `check`, `plan`, `compile`, `schema`, `gait`: all that needs no servo

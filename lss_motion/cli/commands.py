@@ -61,6 +61,7 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "report": ("report", "print a report of lss-play, or compare two"),
     },
     "look after robots": {
+        "import-urdf": ("import_urdf", "make a robot file of a URDF or xacro file"),
         "scan": ("scan", "find ports, baud rates and servos"),
         "configure": ("configure", "read, compare and write settings"),
         "calibrate": ("by_hand", "find zero and direction of each joint by hand"),

@@ -1,4 +1,4 @@
-"""Motion files of other tools → sequences; samples of a plan → text for other tools.
+"""Motions and robots of other tools → our files; samples of a plan → text for other tools.
 
 `import_motion(path, robot)` recognises the format by the content of the file. `exported` writes.
 
@@ -14,6 +14,10 @@
 | `fitted_keys` | few shared instants, and angles fitted to the recording    | `reduce`            |
 | `recorded`    | the recording of a joint, and the curve between its keys   | the two above       |
 | `export`      | samples of a plan → CSV, ROS, Blender                      | cli                 |
+| `urdf_robot`  | a URDF or xacro file → a robot file                        | cli                 |
+| `urdf_joints` | its joints with a servo, and their limits                  | `urdf_robot`        |
+| `urdf_repair` | its masses, inertias and efforts, mended                   | `urdf_robot`        |
+| `urdf_legs`   | its legs → a gait file                                     | `urdf_robot`        |
 
 Readers, each a value of `Reader`:
 

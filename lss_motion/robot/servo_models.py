@@ -131,6 +131,15 @@ SERVO_MODELS: Final[Mapping[str, ServoModel]] = MappingProxyType(
     }
 )
 
+STATIC_TORQUE_N_M: Final[Mapping[str, float]] = MappingProxyType(
+    {"LSS-HS1": 0.785, "LSS-ST1": 1.373, "LSS-HT1": 2.844}  # FACTS.md E2
+)
+"""The largest static torque of a model; none is known for the others."""
+MASS_KG: Final[Mapping[str, float]] = MappingProxyType(
+    {"LSS-HS1": 0.057, "LSS-ST1": 0.057, "LSS-HT1": 0.063}  # FACTS.md E3
+)
+"""The mass of a servo; none is known for the other models."""
+
 BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
     {
         # The rates of every firmware (FACTS.md W22).

@@ -286,7 +286,7 @@ def test_a_part_that_cannot_be_drawn_is_a_note(tmp_path, text, said):
         (changed("</link>", "</lick>"), 5, "not XML"),
         (changed('<robot name="test">', '<!DOCTYPE a [<!ENTITY b "c">]>\n<robot>'), 2, "document"),
         (changed("<robot", "<sdf").replace("</robot>", "</sdf>"), 2, "<sdf>"),
-        (changed('box size="0.1', 'box size="${w}'), 4, "write one with `xacro test.urdf > "),
+        (changed('box size="0.1', 'box size="${w}'), 4, "lss-motion import-urdf test.urdf"),
         (changed("<link", "<xacro:wheel/><link"), 3, "is a xacro file"),
         ("", 1, "not XML"),
         ("<a>" * 40 + "</a>" * 40, 1, "deep"),
