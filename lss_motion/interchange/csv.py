@@ -10,6 +10,7 @@ may be a comment, as of `numpy.savetxt`. Speeds and forces are left out.
 from __future__ import annotations
 
 import csv
+import math
 import re
 from array import array
 from itertools import islice
@@ -42,6 +43,7 @@ from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
     ForeignMotion,
+    Measure,
     PoseNote,
     Reader,
     is_dense,
@@ -345,10 +347,20 @@ def _wide(table: CsvRows) -> ForeignMotion:
         comments=(
             f"Imported from {path.name} (CSV).",
             *assumed_units([name for _, name in names], "" if is_clock else table.header[time.at]),
+            *_may_be_radians(channels, [name for _, name in names]),
             *summarised(empty),
         ),
         is_recording=is_dense(times_s),
     )
+
+
+def _may_be_radians(channels: Sequence[Channel], names: Sequence[str]) -> list[str]:
+    """Return a comment if a recording in degrees, whose unit is assumed, may be one in radians."""
+    bare = [one for one in channels if one.unit is Measure.DEG and one.name in names]
+    most = max((float(np.abs(one.values).max()) for one in bare), default=0.0)
+    if not 0.0 < most <= math.pi or not any(is_dense(one.times_s) for one in bare):
+        return []
+    return [f"They are at most {most:.3g}: if they are radians, end the names in _rad."]
 
 
 def _cells(

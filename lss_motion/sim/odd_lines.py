@@ -3,7 +3,8 @@
 Published programs send lines with spaces (`#1 D500 SD600`), with decimals (`#1D100.0`), to id 255,
 or a setting without its value (`#254CO`). What firmware does with them is not known. So it is an
 assumption of the simulator (FACTS.md A27, `Physics.lines`), and `OddLines` counts them: a program
-that sends them is told so, whatever the servos do.
+that sends them is told so, whatever the servos do. Lenient servos take a value that is missing for
+0, as the maker's sketch of the LSS-2IO does (FACTS.md B5).
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _COMMON: Final = re.compile(rb"#(?:1?[0-9]?[0-9]|2[0-4][0-9]|25[0-4])[A-Za-z]+-?
 """A line that is not looked at any further."""
 _BLANK: Final = re.compile(rb"[\s#\x00]*")
 _DECIMAL: Final = re.compile(rb"([A-Za-z])(-?[0-9]*\.[0-9]+|-?[0-9]+\.)")
+_BARE: Final = re.compile(rb"(?<=[0-9])([A-Za-z]+)(?=[\r#]|$)")
+"""A keyword without a value."""
 _ID: Final = re.compile(rb"#\s*([0-9]+)")
 SPACE, DECIMAL, ID, VALUE, OTHER = "space", "decimal", "id", "value", "other"
 MEANINGS: Final = {
@@ -71,8 +74,9 @@ class OddLines:
 
     def _text(self, kind: str, line: bytes) -> str:
         sent = ascii(line.rstrip(b"\r").decode("latin-1"))[1:-1]
-        is_read = self._lines == "lenient" and kind in (SPACE, DECIMAL, ID)
-        does = "is taken as it seems to be meant" if is_read else "is ignored"
+        does = "is ignored"
+        if self._lines == "lenient" and kind != OTHER:
+            does = "is taken with 0" if kind == VALUE else "is taken as it seems to be meant"
         return (
             f"a program sends lines {MEANINGS[kind]}, such as {sent:.60}: what firmware does with "
             f"them is not known. Such a line {does} here (--lines); do not rely on it"
@@ -83,14 +87,16 @@ def _kinds(line: bytes, *, is_grouped: bool) -> list[str]:
     """Return of which kinds a line is; none: documents describe it."""
     commands = commands_in(line, grouped=is_grouped)
     bare = line.rstrip(b"\r")
-    kinds = [SPACE] if not commands and b" " in bare and not _has_text(bare) else []
-    if not commands and _DECIMAL.search(bare.replace(b" ", b"")) is not None:
+    sections = sum(1 for part in bare.split(b"#") if part.strip(b"\0 \t\r\n"))
+    is_lost = not commands or (is_grouped and len(commands) < sections)
+    kinds = [SPACE] if is_lost and b" " in bare and not _has_text(bare) else []
+    if is_lost and _DECIMAL.search(bare.replace(b" ", b"")) is not None:
         kinds.append(DECIMAL)
     if any(int(number) > BROADCAST_ID for number in _ID.findall(bare)):
         kinds.append(ID)
     if any(one.value is None and _is_setting(one.keyword) for one in commands):
         kinds.append(VALUE)
-    return kinds or ([OTHER] if not commands else [])
+    return kinds or ([OTHER] if is_lost else [])
 
 
 def _has_text(line: bytes) -> bool:
@@ -107,9 +113,10 @@ def _is_setting(keyword: str) -> bool:
 
 
 def _as_meant(line: bytes) -> bytes:
-    """Return a line without spaces and decimals, to all servos where its id is above the last."""
+    """Return a line without spaces and decimals, with a value, and to an id that there is."""
     line = line.replace(b" ", b"")
     line = _DECIMAL.sub(lambda found: found[1] + _whole(found[2]), line)
+    line = _BARE.sub(lambda bare: bare[0] + b"0" * _is_setting(bare[1].decode().upper()), line)
 
     def known(found: re.Match[bytes]) -> bytes:
         return b"#%d" % min(int(found[1]), BROADCAST_ID)

@@ -258,3 +258,11 @@ def test_a_table_in_utf_16_is_read(tmp_path) -> None:
     (tmp_path / "t.txt").write_bytes(b"\xff\xfea")
     with pytest.raises(InputError, match="is not UTF-16"):
         read_motions(tmp_path / "t.txt")
+
+
+@pytest.mark.parametrize(("most", "is_said"), [(1.5, True), (30.0, False)])
+def test_a_recording_that_may_be_in_radians_is_named(read_one, most: float, is_said: bool) -> None:
+    rows = "".join(f"{n / 50},{most * n / 19},5\n" for n in range(20))
+    about = read_one(CSV, f"time_s,a,b_deg\n{rows}").comments
+    assert any("if they are radians" in text for text in about) is is_said
+    assert not any("radians" in t for t in read_one(CSV, f"time_s,a_deg,b_deg\n{rows}").comments)

@@ -14,8 +14,12 @@ ODD = {
     b"#1SR3.3333": ([DECIMAL], b"#1SR3"),
     b"#1D-12.5T300": ([DECIMAL], b"#1D-12T300"),
     b"#1D -12.5": ([SPACE, DECIMAL], b"#1D-12"),
-    b"#254CO": ([VALUE], b"#254CO"),
-    b"#3CGM": ([VALUE], b"#3CGM"),
+    b"#254CO": ([VALUE], b"#254CO0"),
+    b"#3CGM": ([VALUE], b"#3CGM0"),
+    b"#3co#4QD#5 CO": ([SPACE, VALUE], b"#3co0#4QD#5CO0"),
+    b"#1D500#2 D300": ([SPACE], b"#1D500#2D300"),
+    b"#1D500#2D30.0T500": ([DECIMAL], b"#1D500#2D30T500"),
+    b"#1D500#D300": ([OTHER], b"#1D500#D300"),
     b"#255D0": ([ID], b"#254D0"),
     b"#255QID": ([ID], b"#254QID"),
     b"D500": ([OTHER], b"D500"),
@@ -51,3 +55,17 @@ def test_a_servo_obeys_an_odd_line_only_if_that_is_assumed(make_host, make_servo
     host.say("#1 D500 SD600")
     assert host.ask("#1QDT") == f"*1QDT{target}|"
     assert host.bus.odd_lines.summary() == "1 with spaces"
+
+
+@pytest.mark.parametrize(("lines", "origin"), [("strict", 30), ("lenient", 0)])
+def test_a_setting_without_its_value_is_0_where_servos_are_lenient(
+    make_host, make_servo, lines, origin
+):
+    host = make_host(make_servo(1), physics=Physics(noise_deg=0.0, lines=lines))
+    host.say("#1CO30")
+    host.say("#254CO")
+    assert host.ask("#1QO") == f"*1QO{origin}|"
+    host.say("#1CG")
+    assert host.ask("#1QG") == "*1QG1|", "0 is no gyre"
+    (text,) = host.bus.odd_lines.take_texts()
+    assert ("is taken with 0" if lines == "lenient" else "is ignored") in text
