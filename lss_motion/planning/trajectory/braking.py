@@ -4,6 +4,8 @@ A motion that is late goes as fast as it can and would soon be early. `braked` f
 begin to brake, without another solution of the whole: all limits are linear in the squared rates,
 so that each row of a cell bounds one end by the other, and every mixture of two legal motions is
 legal. One of the two is late at that instant and the other early.
+
+`hasty_square` says how fast a seam can be passed.
 """
 
 from __future__ import annotations
@@ -12,11 +14,18 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
-from lss_motion.planning.trajectory.solver import FEASIBLE_RATIO, RATE_SLACK, RateWindow, is_legal
+from lss_motion.planning.trajectory.solver import (
+    FEASIBLE_RATIO,
+    RATE_SLACK,
+    RateWindow,
+    is_legal,
+    solve,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,6 +45,10 @@ MARGIN_CELLS: Final = 2
 
 LATE_MIN_S: Final = 1e-5
 """A motion that is less late where braking ends is on time."""
+
+SEAM_REACH_S: Final = 3.0
+"""So much around a seam decides how fast it can be passed. Chosen: longer than the motion needs to
+take up speed."""
 
 NO_ROW: Final = 1e-12
 """A row with a smaller factor does not depend on the square."""
@@ -236,3 +249,19 @@ def mixed(
         else:
             high, at_high, at_low, side = share, found, at_low * (0.5 if side < 0 else 1.0), -1
     return mixture(low)
+
+
+def square_at(windows: Sequence[RateWindow], at_s: float) -> float:
+    """Return the squared rate at a position, 1 outside of the windows."""
+    for window in windows:
+        if window.from_s <= at_s <= window.to_s:
+            return float(np.interp(at_s, window.grid_s, window.squares))
+    return 1.0
+
+
+def hasty_square(task: RateTask, stops_s: FloatArray, seam_s: float, rate_max: float) -> float:
+    """Return the largest squared rate at a seam, for which its surroundings are enough."""
+    from_s = max(seam_s - SEAM_REACH_S, float(stops_s[stops_s <= seam_s].max()))
+    to_s = min(seam_s + SEAM_REACH_S, float(stops_s[stops_s >= seam_s].min()))
+    hasty = replace(task, rate_max=rate_max, knot_caps={})
+    return square_at([solve(hasty, from_s, to_s)], seam_s)

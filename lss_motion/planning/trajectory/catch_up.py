@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from lss_motion.planning.trajectory.ahead import KeptKeys, kept_keys
 from lss_motion.planning.trajectory.braking import braked, mixed
 from lss_motion.planning.trajectory.dues import EARLY_S, Dues
-from lss_motion.planning.trajectory.free_spans import MARGIN_CELLS, MARGIN_S, free_windows, without
+from lss_motion.planning.trajectory.free_spans import MARGIN_CELLS, MARGIN_S, free_spans, without
 from lss_motion.planning.trajectory.solver import (
     MARGIN_RATIO,
     RATE_SLACK,
@@ -109,19 +109,26 @@ HASTE_S: Final = 1.0
 
 
 def made_up(
-    task: RateTask, windows: Sequence[RateWindow], stops_s: FloatArray, dues: Dues
+    task: RateTask,
+    windows: Sequence[RateWindow],
+    stops_s: FloatArray,
+    dues: Dues,
+    *,
+    seam_square: float = 1.0,
 ) -> list[RateWindow] | None:
     """Return the windows of the path in which the rate is not 1, lateness made up for.
 
     None: a slow part begins so close behind another one that the rates between them do not agree.
 
-    `windows` have the slow parts at rates up to 1. Those that contain a seam are kept as they are.
-    At the positions `stops_s` no joint moves, so that the rate may jump.
+    `windows` have the slow parts at rates up to 1. At the positions `stops_s` no joint moves, so
+    that the rate may jump. `seam_square` is the squared rate at all seams.
     """
     if not windows and dues.begins_late_s(task.path.knots_s[0]) <= LATE_MIN_S:
         return []
     for is_eased in (True, False):
-        sweep = partial(_Sweep, task, windows, stops_s, dues, is_eased=is_eased)
+        sweep = partial(
+            _Sweep, task, windows, stops_s, dues, seam_square=seam_square, is_eased=is_eased
+        )
         try:
             usual = sweep()
             found = usual.run()
@@ -190,6 +197,7 @@ class _Sweep:
         stops_s: FloatArray,
         dues: Dues,
         *,
+        seam_square: float,
         is_eased: bool,
         urgent_s: Sequence[float] = (),
     ) -> None:
@@ -197,18 +205,16 @@ class _Sweep:
         self.dues = dues
         self.stops_s = frozenset(stops_s.tolist())
         start_s, self.end_s = task.path.knots_s[[0, -1]].tolist()
-        fixed, spans = free_windows(windows, stops_s, (start_s, self.end_s), dues, urgent_s)
+        spans = free_spans(
+            windows, stops_s, (start_s, self.end_s), dues, urgent_s, is_hasty=seam_square != 1.0
+        )
         keys_s = [key for span in spans for key in itertools.pairwise(span.keys_s)]
         self.free_s = np.array(keys_s, dtype=np.float64).reshape(-1, 2)
         self.calm_s = without(dues.held, self.free_s)
-        self.windows = sorted(
-            [*fixed, *(span.window for span in spans)], key=lambda window: window.from_s
-        )
-        self.is_fixed = [any(window is f for f in fixed) for window in self.windows]
+        self.windows = [span.window for span in spans]
         self.starts_s = [window.from_s for window in self.windows]
-        fixed_s = [window.from_s for window in fixed]
-        free_s = [seam for seam in dues.seams_s if self._window_at(seam) is None]
-        self.edges_s = sorted({*self.stops_s, *fixed_s, *free_s, self.end_s})
+        self.seam_square = seam_square
+        self.edges_s = sorted({*self.stops_s, *dues.seams_s, self.end_s})
         rest_ends = (stops_s, dues.held.ravel(), dues.anchors_s, [self.end_s])
         self.rest_edges_s = distinct(np.concatenate([*map(np.asarray, rest_ends)])).tolist()
         self.is_rest = task.path.rests
@@ -292,12 +298,10 @@ class _Sweep:
         is_start = index < len(self.starts_s) and self.starts_s[index] == from_s
         if self.late_s <= LATE_MIN_S:
             self.on_time = self._place()
-        if is_start and self.is_fixed[index]:
-            self._keep(self.windows[index])
-        elif self.late_s <= LATE_MIN_S and not is_start:
+        if self.late_s <= LATE_MIN_S and not is_start:
             self.at_s = self.starts_s[index] if index < len(self.starts_s) else self.end_s
             return None
-        elif not self._rested():
+        if not self._rested():
             self._follow(self.windows[index] if is_start else None)
         for anchor_s in self.anchors_s[bisect_right(self.anchors_s, from_s) :]:
             if anchor_s > self.at_s:
@@ -305,14 +309,6 @@ class _Sweep:
             if self._late_at(anchor_s):
                 return anchor_s
         return None
-
-    def _keep(self, window: RateWindow) -> None:
-        """Take a window with a seam as it is; lateness counts from the seam."""
-        self.found.append(window)
-        late_s = self.dues.lateness(window, self.late_s)
-        seam_s = max(seam for seam in self.dues.seams_s if seam < window.to_s)
-        self.late_s = float(late_s[-1] - np.interp(seam_s, window.grid_s, late_s))
-        self.at_s = window.to_s
 
     def _rested(self) -> bool:
         """Go over a rest, or a hold under which others move; return whether there is one."""
@@ -345,7 +341,7 @@ class _Sweep:
         while True:
             to_s = self._end(wanted_s, edge_s, until_s)
             fastest = self._fastest(fastest, from_s, to_s)
-            if fastest.squares[0] < 1.0 - RATE_SLACK and from_s not in self.stops_s:
+            if from_s not in self.stops_s and fastest.squares[0] < self._most(from_s) - RATE_SLACK:
                 raise _RateJumpError
             whole, is_met = self._unhurried(fastest, late_s)
             if not is_met and self._early(whole, late_s):
@@ -357,6 +353,10 @@ class _Sweep:
             gain = max(1.0 - 1.0 / math.sqrt(float(whole.squares.max())), 0.1)
             until_s = to_s
             wanted_s = to_s + max(float(lateness_s[-1]) / gain, 0.5 * (to_s - from_s))
+        for at_s, square in ((from_s, whole.squares[0]), (whole.to_s, whole.squares[-1])):
+            is_seam = at_s in self.dues.seams_s and at_s not in self.stops_s
+            if is_seam and abs(square - self.seam_square) > RATE_SLACK:
+                raise _RateJumpError
         self.found.append(whole)
         self.at_s = whole.to_s
         self.late_s = max(0.0, float(lateness_s[-1]))
@@ -383,7 +383,7 @@ class _Sweep:
                 break
             later_s = float(keys.at_s[int(np.argmax(is_later))])
             hasty_s = tuple(at_s for at_s in hasty_s if not later_s - HASTE_S <= at_s <= later_s)
-        return self._cut_behind(keys)
+        return self._cut_behind(keys, late_s)
 
     def _at_keys(
         self,
@@ -424,14 +424,16 @@ class _Sweep:
             raise _RateJumpError
         return found.window
 
-    def _cut_behind(self, keys: KeptKeys) -> tuple[RateWindow, bool]:
+    def _cut_behind(self, keys: KeptKeys, from_late_s: float) -> tuple[RateWindow, bool]:
         """Return the window up to where the author's pace begins on time, and whether it does."""
         window = keys.window
         for at_s, late_s, square in zip(keys.at_s, keys.late_s, keys.squares, strict=True):
             is_steady = abs(square - 1.0) < RATE_SLACK or at_s in self.stops_s
             if is_steady and late_s <= LATE_MIN_S and at_s not in self.free_s[:, 0]:
                 end = int(np.abs(window.grid_s - at_s).argmin()) + 1
-                return RateWindow(window.grid_s[:end], window.squares[:end]), True
+                found = RateWindow(window.grid_s[:end], window.squares[:end])
+                # Between free spans it may have been early, where it makes up for lateness.
+                return (window, False) if self._early(found, from_late_s) else (found, True)
         return window, False
 
     def _guessed_s(self, until_s: float, lost_s: float) -> float:
@@ -536,7 +538,6 @@ class _Sweep:
         index = bisect_right(self.starts_s, at_s)
         self.windows.insert(index, RateWindow(rest_s, levels))
         self.starts_s.insert(index, at_s)
-        self.is_fixed.insert(index, False)
         return True
 
     def _cut(self, whole: RateWindow, met_s: float) -> RateWindow:
@@ -570,6 +571,12 @@ class _Sweep:
             end_s = min(window.to_s + BRAKE_S, edge_s)
         return edge_s if end_s > edge_s - 2.0 * EARLY_S else end_s
 
+    def _most(self, at_s: float) -> float:
+        """Return the largest squared rate at an end of a window."""
+        if at_s in self.stops_s:
+            return math.inf
+        return self.seam_square if at_s in self.dues.seams_s else 1.0
+
     def _solved(
         self,
         from_s: float,
@@ -583,8 +590,7 @@ class _Sweep:
 
         Behind that, in holds outside of free spans and at `calm_keys_s` they are at most 1.
         """
-        limits = (math.inf if at_s in self.stops_s else 1.0 for at_s in (from_s, to_s))
-        begin_max, end_max = limits
+        begin_max, end_max = self._most(from_s), self._most(to_s)
         free, calm = self.free_s, self.calm_s
         keys_s = np.array(calm_keys_s)[:, None] + [[-EARLY_S, EARLY_S]]
         slow_s = [

@@ -42,44 +42,50 @@ class FreeSpans(Struct, frozen=True):
     keys_s: FloatArray
 
 
-def free_windows(
+def free_spans(
     windows: Sequence[RateWindow],
     stops_s: FloatArray,
     ends_s: tuple[float, float],
     dues: Dues,
     urgent_s: Sequence[float],
-) -> tuple[list[RateWindow], list[FreeSpans]]:
-    """Return the windows with a seam, which stay as they are, and the free spans around others.
+    *,
+    is_hasty: bool,
+) -> list[FreeSpans]:
+    """Return the free spans around the slow parts of windows.
 
     `windows` have the slow parts at rates up to 1, of a path with these ends. Before the anchors
-    `urgent_s` all is free.
+    `urgent_s` all is free, and with `is_hasty` around the seams.
     """
-    is_fixed = [any(w.from_s < seam < w.to_s for seam in dues.seams_s) for w in windows]
-    fixed = [w for w, is_kept in zip(windows, is_fixed, strict=True) if is_kept]
-    fixed_s = np.array([(window.from_s, window.to_s) for window in fixed]).ravel()
-    cuts_s = distinct(np.concatenate([stops_s, dues.seams_s, fixed_s, ends_s]))
+    cuts_s = distinct(np.concatenate([stops_s, dues.seams_s, ends_s]))
     # A hold keeps its length alone.
     keys_s = np.concatenate([dues.keys_s, dues.held.ravel(), dues.rests.ravel()])
     keys_s = keys_s[(keys_s > ends_s[0]) & (keys_s < ends_s[1])]
     keys_s = distinct(np.concatenate([keys_s, cuts_s]))
     parts = [
         part
-        for window, is_kept in zip(windows, is_fixed, strict=True)
-        if not is_kept
-        for part in slow_parts(window)
+        for window in windows
+        for piece in _pieces(window, dues.seams_s)
+        for part in slow_parts(piece)
     ]
     spans_s = [(part.from_s, part.to_s) for part in parts]
     for anchor_s in urgent_s:
         inside_s = keys_s[(keys_s > anchor_s - URGENT_S) & (keys_s <= anchor_s)]
-        spans_s += [
-            (from_s, to_s)
-            for from_s, to_s in itertools.pairwise(inside_s.tolist())
-            if not any(w.from_s < to_s and from_s < w.to_s for w in fixed)
-        ]
-    return fixed, [
+        spans_s += itertools.pairwise(inside_s.tolist())
+    for seam_s in dues.seams_s if is_hasty else ():
+        at = int(np.searchsorted(keys_s, seam_s))
+        spans_s += itertools.pairwise(keys_s[at - 1 : at + 2].tolist())
+    return [
         FreeSpans(_ones_but_for(parts, from_s, to_s), keys_s[(keys_s >= from_s) & (keys_s <= to_s)])
         for from_s, to_s in _between_keys(sorted(spans_s), keys_s, cuts_s)
     ]
+
+
+def _pieces(window: RateWindow, seams_s: Sequence[float]) -> Iterator[RateWindow]:
+    """Yield the pieces of a window between seams, which are grid points."""
+    inside_s = [seam_s for seam_s in seams_s if window.from_s < seam_s < window.to_s]
+    points = [int(np.abs(window.grid_s - seam_s).argmin()) for seam_s in inside_s]
+    for first, end in itertools.pairwise([0, *points, len(window.grid_s) - 1]):
+        yield RateWindow(window.grid_s[first : end + 1], window.squares[first : end + 1])
 
 
 def slow_parts(window: RateWindow) -> Iterator[RateWindow]:

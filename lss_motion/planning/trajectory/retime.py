@@ -24,7 +24,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.planning.trajectory.catch_up import made_up
+from lss_motion.planning.trajectory.braking import hasty_square, square_at
+from lss_motion.planning.trajectory.catch_up import LATE_MIN_S, PACE_MAX, made_up
 from lss_motion.planning.trajectory.curves import (
     JointKeys,
     Path,
@@ -50,6 +51,7 @@ from lss_motion.planning.trajectory.servo_rows import servo_rows
 from lss_motion.planning.trajectory.solver import (
     FEASIBLE_RATIO,
     RATE_FREE,
+    RATE_SLACK,
     RateTask,
     slow_outline,
     solve,
@@ -118,13 +120,15 @@ class Layout(Struct, frozen=True, kw_only=True):
             # Anchors of the next pass can be met only if this one ends on time.
             anchors_s = np.append(anchors_s, starts_s + spacing.length_s)
         keys_s = np.concatenate([spacing.reached_s, spacing.left_s])
+        seams_s = concatenate(self.paths).knots_s[list(self.seams())]
+        held = united(np.concatenate([(starts_s[:, None, None] + own).reshape(-1, 2), rests]))
         return Dues(
             authored=self.authored,
-            keys_s=distinct((starts_s[:, None] + keys_s).ravel()),
-            held=united(np.concatenate([(starts_s[:, None, None] + own).reshape(-1, 2), rests])),
-            rests=rests,
-            anchors_s=tuple(distinct(anchors_s).tolist()),
-            seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),
+            keys_s=distinct(_at_seams((starts_s[:, None] + keys_s).ravel(), seams_s)),
+            held=_at_seams(held, seams_s),
+            rests=_at_seams(rests, seams_s),
+            anchors_s=tuple(distinct(_at_seams(anchors_s, seams_s)).tolist()),
+            seams_s=tuple(seams_s.tolist()),
         )
 
     def _longer_rests_s(self) -> list[FloatArray]:
@@ -231,6 +235,13 @@ def laid_out(
     )
 
 
+def _at_seams(path_s: FloatArray, seams_s: FloatArray) -> FloatArray:
+    """Return positions of which those at seams, but for rounding, are exactly there."""
+    for seam_s in seams_s.tolist():
+        path_s = np.where(np.abs(path_s - seam_s) < SAME_INSTANT_S, seam_s, path_s)
+    return path_s
+
+
 def united(spans: FloatArray) -> FloatArray:
     """Return spans, (n, 2), in order, with those that overlap or touch made one."""
     found: list[list[float]] = []
@@ -266,18 +277,37 @@ def timed(
     dues: Dues, seams: Sequence[int], task: RateTask, _: object
 ) -> tuple[list[RateWindow], PathClock]:
     """Return the windows in which the rate is not 1, and the clock, with boundaries at `seams`."""
-    windows: list[RateWindow] = []
-    is_late = dues.begins_late_s(float(task.path.knots_s[0])) > 0.0
-    if is_late or task.knot_caps or segments_over_limits(task).any():
-        windows = timed_windows(task, dues)
-    return windows, authored_clock(task.path, windows, seams, dues)
+    path = task.path
+    is_late = dues.begins_late_s(float(path.knots_s[0])) > 0.0
+    if not (is_late or task.knot_caps or segments_over_limits(task).any()):
+        return [], authored_clock(path, [], seams, dues)
+    windows = timed_windows(task, dues)
+    clock = authored_clock(path, windows, seams, dues)
+    if dues.seams_s and clock.duration_s > float(dues.authored(path.knots_s[-1:])[0]) + LATE_MIN_S:
+        hasty = timed_windows(task, dues, is_hasty=True)
+        faster = authored_clock(path, hasty, seams, dues)
+        if faster.duration_s < clock.duration_s - LATE_MIN_S:
+            return hasty, faster
+    return windows, clock
 
 
-def timed_windows(task: RateTask, dues: Dues) -> list[RateWindow]:
-    """Return the windows in which the rate is not 1: slow where limits bind, fast while late."""
+def timed_windows(task: RateTask, dues: Dues, *, is_hasty: bool = False) -> list[RateWindow]:
+    """Return the windows in which the rate is not 1: slow where limits bind, fast while late.
+
+    Where rates at seams differ, they are only slow: the next attempt caps them. `is_hasty`: seams
+    are passed as fast as limits allow, not at most at the author's pace.
+    """
     is_stop = stops(task)
+    stops_s = task.path.knots_s[is_stop]
     outlines = slowed_windows(task, is_stop, is_outline=not dues.seams_s)
-    found = made_up(task, outlines, task.path.knots_s[is_stop], dues)
+    if is_hasty:
+        squares = [hasty_square(task, stops_s, seam_s, PACE_MAX) for seam_s in dues.seams_s]
+    else:
+        squares = [square_at(outlines, seam_s) for seam_s in dues.seams_s]
+        if max(squares, default=1.0) - min(squares, default=1.0) > RATE_SLACK:
+            return outlines
+    square = min(squares, default=1.0)
+    found = made_up(task, outlines, stops_s, dues, seam_square=square)
     return slowed_windows(task, is_stop, is_outline=False) if found is None else found
 
 

@@ -78,7 +78,7 @@ def test_a_fastest_show_is_slowed_as_a_whole(make_robot, frame):
 
 def test_a_plan_is_loaded_from_the_cache_and_equal(fast_move, make_robot, monkeypatch):
     first = plan(fast_move, make_robot())
-    monkeypatch.setattr("lss_motion.planning.trajectory.tracks.timed_windows", None)
+    monkeypatch.setattr("lss_motion.planning.trajectory.tracks.timed", None)
     monkeypatch.setattr("lss_motion.planning.trajectory.tracks.verify", None)
     again = plan(fast_move, make_robot())
     times_s = np.linspace(0.0, first.duration_s, 99)
