@@ -14,6 +14,7 @@ import copy
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.yaml_source import parse_yaml, place_text
@@ -206,6 +207,14 @@ def edited(path: Path, text: str, edits: Iterable[Edit]) -> str:
         text = page.spliced(edit.splices(page))
     _require(path, source, intended, text)
     return text
+
+
+def with_edits_made(path: Path, source: YamlSource, edits: Iterable[Edit]) -> YamlSource:
+    """Return what a file would hold after the edits, without its text; lines are the old ones."""
+    value = copy.deepcopy(source.value)
+    for edit in edits:
+        _on_value(path, edit, value)
+    return replace(source, value=value)
 
 
 def changes(place: Location, old: Mapping[str, object], new: Mapping[str, object]) -> list[Edit]:

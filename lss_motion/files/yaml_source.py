@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -108,7 +110,22 @@ def read_yaml(path: Path) -> YamlSource:
     Scalars follow YAML 1.2 (`yes` and `1:30` are text, `1e3` and `010` are numbers). Anchors and
     aliases work; tags, merge keys, several documents and keys that are no text do not.
     """
-    return parse_yaml(read_text(path), path)
+    text = read_text(path)
+    edited = None if (values := _edited.get()) is None else values.get(path.resolve())
+    return parse_yaml(text, path) if edited is None else replace(edited, path=path)
+
+
+_edited: ContextVar[Mapping[Path, YamlSource] | None] = ContextVar("edited values", default=None)
+
+
+@contextmanager
+def with_values(sources: Mapping[Path, YamlSource]) -> Iterator[None]:
+    """Let files, by their full paths, hold other values inside of this block, in this thread."""
+    token = _edited.set(sources)
+    try:
+        yield
+    finally:
+        _edited.reset(token)
 
 
 VALUE_PATH: Final = Path("dict")

@@ -60,28 +60,39 @@ def read(path: Path, text: str) -> ReadText:
 def require_allowed(folder: Path, path: Path, before: str, after: str) -> None:
     """Raise `InputError` with the line for a text that an edit may not make of another one.
 
-    Nothing is added to what the file has under the keys of `FIXED`, no path leads out of `folder`,
-    and the text has no mistake of a single key that the old one did not have.
+    The text is harmless (`require_harmless`), and has no mistake of a single key that the old one
+    did not have.
     """
     old, new = read(path, before), read(path, after)
-    if _model(new.source.value) is not _model(old.source.value):
-        raise InputError("a file stays what it is: a sequence, gait, robot or stage", path=path)
-    if _model(new.source.value) is None:
-        raise InputError("is no sequence, gait, robot or stage, which can be edited", path=path)
+    require_harmless(folder, path, old.source.value, new.source.value)
     fresh = [(line, reason) for reason, line in new.problems.items() if reason not in old.problems]
     if fresh:
         line, reason = min(fresh)
         raise InputError(reason, path=path, line=line)
-    kept = Counter(_fixed(old.source.value))
-    for (key, value), count in Counter(_fixed(new.source.value)).items():
+
+
+def require_harmless(
+    folder: Path, path: Path, before: dict[str, Any], after: dict[str, Any]
+) -> None:
+    """Raise `InputError` for values that an edit may not make of others.
+
+    Nothing is added to what the file has under the keys of `FIXED`, no path leads out of `folder`,
+    and it stays a file of its kind.
+    """
+    if _model(after) is not _model(before):
+        raise InputError("a file stays what it is: a sequence, gait, robot or stage", path=path)
+    if _model(after) is None:
+        raise InputError("is no sequence, gait, robot or stage, which can be edited", path=path)
+    kept = Counter(_fixed(before))
+    for (key, value), count in Counter(_fixed(after)).items():
         if count > kept[key, value]:
             raise InputError(
                 f"{key}: {FIXED[key]} is neither added nor changed here; edit the file with an "
                 "editor of this computer",
                 path=path,
             )
-    known = set(_names(old.source.value))
-    for name in set(_names(new.source.value)) - known:
+    known = set(_names(before))
+    for name in set(_names(after)) - known:
         if not _is_inside(folder, path, name):
             raise InputError(f"{name!r} leads out of the folder of the show", path=path)
 

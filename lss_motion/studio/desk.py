@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.playing.remote import schema as m
-from lss_motion.playing.remote.edit_messages import EditOperation
+from lss_motion.playing.remote.edit_messages import EditOperation, Tried
 from lss_motion.playing.remote.stage_messages import StageOperation
 from lss_motion.studio.planner import file_digest
 from lss_motion.studio.playing import PlayerProcess
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.studio.document import Document
     from lss_motion.studio.hub import Hub
     from lss_motion.studio.latch import StopKind
-    from lss_motion.studio.planner import PlannerReply
+    from lss_motion.studio.planner import PlannerReply, TrialResult
     from lss_motion.studio.stopping import StopProcess
 
 MAINTENANCE: Final = "maintenance"
@@ -129,8 +129,7 @@ class Desk:
         """Carry an operation out; see `hub.Desk`."""
         assert self.document is not None
         if isinstance(operation, EditOperation):
-            self.document.edit(operation)
-            return True
+            return self.document.edit(operation, key)
         return self._obey(operation, key)
 
     def _obey(self, operation: m.AnyOperation, key: int) -> bool:
@@ -159,6 +158,23 @@ class Desk:
             case _:
                 raise InputError(f"{operation.op} is not possible here")
         return True
+
+    def note_trial(self, result: TrialResult) -> None:
+        """Answer an operation that asked what an edit would do."""
+        assert self.document is not None
+        if result.is_dropped:
+            self._hub.answer(result.number, "something newer came first")
+            return
+        self._hub.tell(
+            result.number,
+            Tried(
+                id=self._hub.id_of(result.number),
+                revision=self.document.revision,
+                problem=result.problem,
+                window=result.window,
+            ),
+        )
+        self._hub.answer(result.number)
 
     def operator_lost(self) -> None:
         """Do what the rule says about an operator that is gone; a robot without a show holds."""

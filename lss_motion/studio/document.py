@@ -22,6 +22,8 @@ a client that waits for `accepted` knows the revision for its next edit.
   draft until `is_current` is true.
 - `editing` of the event `document`: `undo` and `redo` (what they would do, or null), `unsaved`
   files, `conflicts` with the disk, `recovered` files. `undo`, `redo`, `save` act on all files.
+- `edit.try` tells what an edit would do while a key is dragged (event `tried`: the plan of a window
+  around it), and changes nothing. A newer one, or an edit, drops the one that waits.
 - Operations with the same `gesture`, one after the other, are one step of undo.
 
 Unsaved edits are kept beside their file within a second; they come back after a crash.
@@ -44,7 +46,7 @@ from lss_motion.studio.allowed import read, require_allowed
 from lss_motion.studio.drafts import Drafts, Stamp, stamp_of
 from lss_motion.studio.history import History
 from lss_motion.studio.operations import new_texts, word_of
-from lss_motion.studio.planner import PlannerReply, Request
+from lss_motion.studio.planner import EditTrial, PlannerReply, Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -62,6 +64,7 @@ class Document:
         request: Request,
         ask: Callable[[Request], None],
         changed: Callable[[], None],
+        try_edit: Callable[[EditTrial], None] = lambda _: None,
     ) -> None:
         self.folder = request.path.resolve().parent
         """Nothing outside of it is opened, or given to a client."""
@@ -72,7 +75,7 @@ class Document:
         self.shown: str | None = None
         """The show of a stage whose plan clients see."""
         self._request = request
-        self._ask, self._changed = ask, changed
+        self._ask, self._changed, self._try = ask, changed, try_edit
         self._newest = PlannerReply(number=0, title=request.path.stem)
         self._views: dict[str, bytes] = {}
         self._stamps: dict[Path, Stamp] = {}
@@ -197,8 +200,11 @@ class Document:
 
     # ---- edits
 
-    def edit(self, operation: e.EditOperation) -> None:
-        """Carry out an operation on files; raises `InputError` with the reason if it is refused."""
+    def edit(self, operation: e.EditOperation, key: int = 0) -> bool:
+        """Carry out an operation on files; raises `InputError` with the reason if it is refused.
+
+        Returns whether it is answered now; what is tried is answered by the planner, with `key`.
+        """
         if self.runs_stage:
             raise InputError("this server runs a stage; edit its files with lss-motion studio")
         self.look()
@@ -207,6 +213,10 @@ class Document:
                 f"the files have changed since then (revision {self.revision}); look again"
             )
         match operation:
+            case e.EditTry():
+                texts = {draft.path: draft.data for draft in self._drafts.unsaved()}
+                self._try(EditTrial(number=key, operation=operation.edit, texts=texts))
+                return False
             case e.Undo():
                 self._put(self._history.undo(self._drafts.open))
             case e.Redo():
@@ -218,6 +228,7 @@ class Document:
             case _:
                 assert isinstance(operation, e.AnyEdit)
                 self._edit(operation)
+        return True
 
     def _edit(self, operation: Any) -> None:  # noqa: ANN401  (what `new_texts` accepts)
         changed = {

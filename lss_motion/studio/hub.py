@@ -202,6 +202,10 @@ class Hub:
         if client is not None:
             client.send(message.to_json().decode())
 
+    def id_of(self, key: int) -> int:
+        """Return the `id` that the client of an operation gave it."""
+        return self._waiting.get(key, (0, 0, ""))[1]
+
     def unanswered(self) -> Iterator[int]:
         """Yield the keys of operations without an answer."""
         yield from list(self._waiting)

@@ -6,15 +6,25 @@ from typing import TYPE_CHECKING, Any
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted
-from lss_motion.files.yaml_edit import Edit, Insert, Remove, Rename, Reorder, SetValues, edited
+from lss_motion.files.yaml_edit import (
+    Edit,
+    Insert,
+    Remove,
+    Rename,
+    Reorder,
+    SetValues,
+    edited,
+    with_edits_made,
+)
 from lss_motion.playing.remote import edit_messages as m
 from lss_motion.show import key_edit
 from lss_motion.studio.allowed import read, require_plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
+    from lss_motion.files.yaml_source import YamlSource
     from lss_motion.show.key_edit import KeyRef, NewKey
 
     TextOf = Callable[[str], tuple[Path, str]]
@@ -25,7 +35,7 @@ ItemOperation = m.ItemInsert | m.ItemDelete | m.ItemMove | m.ValueSet | m.ValueR
 
 
 def new_texts(
-    operation: KeyOperation | ItemOperation | m.TextSet,
+    operation: m.AnyChange,
     text_of: TextOf,
     poses: Mapping[str, Mapping[str, float]],
 ) -> dict[Path, tuple[str, str]]:
@@ -36,16 +46,40 @@ def new_texts(
     if isinstance(operation, m.TextSet):
         path, text = text_of(operation.file)
         return {path: (text, _with_lines(operation, text))}
+    return {
+        path: (text, edited(path, text, edits))
+        for path, text, edits in _edits(operation, text_of, poses)
+    }
+
+
+def new_values(
+    operation: m.AnyChange,
+    text_of: TextOf,
+    poses: Mapping[str, Mapping[str, float]],
+) -> dict[Path, YamlSource]:
+    """Return what each file of an operation would hold after it; raises as `new_texts`."""
+    if isinstance(operation, m.TextSet):
+        path, text = text_of(operation.file)
+        return {path: read(path, _with_lines(operation, text)).source}
+    return {
+        path: with_edits_made(path, read(path, text).source, edits)
+        for path, text, edits in _edits(operation, text_of, poses)
+    }
+
+
+def _edits(
+    operation: KeyOperation | ItemOperation,
+    text_of: TextOf,
+    poses: Mapping[str, Mapping[str, float]],
+) -> Iterator[tuple[Path, str, list[Edit]]]:
+    """Yield each file of an operation with its text and the edits of it."""
     if not isinstance(operation, KeyOperation):
         path, text = text_of(operation.file)
-        edits = _item_edits(operation, read(path, text).source.value)
-        return {path: (text, edited(path, text, edits))}
-    found = {}
+        yield path, text, _item_edits(operation, read(path, text).source.value)
+        return
     for file in dict.fromkeys(key.file for key in operation.keys):
         path, text = text_of(file)
-        edits = _key_edits(operation, file, read(path, text).source.value, poses)
-        found[path] = (text, edited(path, text, edits))
-    return found
+        yield path, text, _key_edits(operation, file, read(path, text).source.value, poses)
 
 
 def word_of(operation: m.EditOperation) -> str:

@@ -22,14 +22,17 @@ from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import wait_for
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from lss_motion.planning.shows import Show
+    from lss_motion.playing.remote.edit_messages import AnyChange, TriedWindow
     from lss_motion.playing.remote.schema import FileKind
     from lss_motion.robot.model import Robot
     from lss_motion.show.gait.model import Gait
+    from lss_motion.show.model import Sequence
     from lss_motion.stage.check import Planned
     from lss_motion.stage.model import Stage
+    from lss_motion.studio.trial import WholePlan
     from lss_motion.system.messages import MessagePipe
 
 PROBLEMS_MAX: Final = 100
@@ -51,6 +54,26 @@ class Request(Struct, frozen=True, kw_only=True):
     """Of a stage with several: that of this computer, which conducts."""
     texts: Mapping[Path, bytes] = field(default_factory=dict)
     """What edited files have that is not saved yet, by their full paths."""
+
+
+class EditTrial(Struct, frozen=True, kw_only=True):
+    """An edit of which a client wants to know what it would do."""
+
+    number: int
+    """It comes back in the result."""
+    operation: AnyChange
+    texts: Mapping[Path, bytes]
+    """What edited files have that is not saved yet."""
+
+
+class TrialResult(Struct, frozen=True, kw_only=True):
+    """What an edit would do."""
+
+    number: int
+    problem: str | None = None
+    window: TriedWindow | None = None
+    is_dropped: bool = False
+    """Something newer came before it was tried, or the planner has ended."""
 
 
 class PlannerReply(Struct, frozen=True, kw_only=True):
@@ -89,13 +112,16 @@ class PlannerReply(Struct, frozen=True, kw_only=True):
     """The plan of each show of a stage."""
 
 
-def reply_to(request: Request) -> PlannerReply:
-    """Return the plan of a request, or what is wrong; raises nothing about the files."""
+def reply_to(request: Request, keep: Callable[[WholePlan], None] = lambda _: None) -> PlannerReply:
+    """Return the plan of a request, or what is wrong; raises nothing about the files.
+
+    `keep` is called with the plan of a show.
+    """
     with with_edits(request.texts):
-        return _reply_to(request)
+        return _reply_to(request, keep)
 
 
-def _reply_to(request: Request) -> PlannerReply:
+def _reply_to(request: Request, keep: Callable[[WholePlan], None]) -> PlannerReply:
     from lss_motion.planning.shows import is_program, is_robot_file
     from lss_motion.stage import is_stage_file
 
@@ -113,7 +139,7 @@ def _reply_to(request: Request) -> PlannerReply:
         elif is_stage_file(request.path):
             found |= _of_stage(request, found)
         else:
-            found |= _of_show(request, found)
+            found |= _of_show(request, found, keep)
     except LssMotionError as error:
         found["problems"] = tuple(_problems(error, request.path))
     except RecursionError:
@@ -174,7 +200,9 @@ def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
     }
 
 
-def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
+def _of_show(
+    request: Request, found: dict[str, Any], keep: Callable[[WholePlan], None]
+) -> dict[str, Any]:
     """Return the fields of a show; those that are known so far go to `found` on the way."""
     from lss_motion.planning.shows import compiled, files_of, load, load_gait
     from lss_motion.planning.summaries import program_lines
@@ -183,6 +211,7 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     from lss_motion.playing.remote.process import packed
     from lss_motion.show.functions import calls_of
     from lss_motion.show.gait import is_gait_file
+    from lss_motion.studio.trial import WholePlan
     from lss_motion.studio.view import view_of
 
     is_gait = is_gait_file(request.path)
@@ -191,13 +220,17 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     def read(path: Path) -> Robot:
         return _robot(path, request)
 
-    sequence, robot = load(request.path, request.robot_path, read)
+    def load_again() -> tuple[Sequence, Robot]:
+        return load(request.path, request.robot_path, read)
+
+    sequence, robot = load_again()
     gait = load_gait(request.path, robot.path, read)[0] if is_gait else None
     files = {*found["files"], *files_of(sequence), *_files_of_robot(robot)}
     found |= {**_of_robot(robot, gait), "files": tuple(sorted(files)), "title": sequence.name}
     if sequence.play:
         found["kind"] = "playlist"
     show = compiled(sequence, robot)
+    keep(WholePlan(show, request.path.resolve().parent, load_again))
     plan = plan_hash(show.program).hex()
     sounds = {Path(cue.sound) for cue in show.program.cues if cue.sound}
     job = Job(shows=show.program, robot=robot, trajectory=show.trajectory)
@@ -350,17 +383,36 @@ def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
 
 def main(pipe: MessagePipe) -> int:
     """Answer requests until the pipe ends; return an exit code."""
-    typed: TypedPipe[Request] = TypedPipe(pipe)
-    while (request := _newest(typed)) is not None:
-        typed.send_object(reply_to(request))
+    typed: TypedPipe[Request | EditTrial] = TypedPipe(pipe)
+    from lss_motion.studio.trial import tried
+
+    plans: list[WholePlan] = []
+    while arrived := _arrived(typed):
+        for request in _newest(arrived):
+            if isinstance(request, EditTrial):
+                whole = plans[-1] if plans else None
+                problem, window = tried(request.operation, request.texts, whole)
+                result = TrialResult(number=request.number, problem=problem, window=window)
+                typed.send_object(result)
+            else:
+                typed.send_object(reply_to(request, plans.append))
+                del plans[:-1]
     return 0
 
 
-def _newest(typed: TypedPipe[Request]) -> Request | None:
-    """Wait for a request, and return the newest that has arrived; None: the pipe has ended."""
-    requests: list[Request] = []
+def _arrived(typed: TypedPipe[Request | EditTrial]) -> list[Request | EditTrial]:
+    """Wait for requests, and return all that have arrived; none: the pipe has ended."""
+    requests: list[Request | EditTrial] = []
     while wait_for([typed.fileno()], 0.0 if requests else math.inf):
         requests += typed.receive()
         if typed.has_ended:
-            return None
-    return requests[-1]
+            return []
+    return requests
+
+
+def _newest(arrived: list[Request | EditTrial]) -> Iterator[Request | EditTrial]:
+    """Yield the newest request for a plan, and a trial if that is the newest of all."""
+    plans = [request for request in arrived if isinstance(request, Request)]
+    yield from plans[-1:]
+    if isinstance(arrived[-1], EditTrial):
+        yield arrived[-1]

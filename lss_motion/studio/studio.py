@@ -87,7 +87,7 @@ class Studio:
         self.stops = StopProcess(settings, [one.stop_socket for one in sockets])
         self.desk = Desk(self.hub, self.stops, options.desk)
         self.hub.desk = self.desk
-        self.planner = Planner(self._planned)
+        self.planner = Planner(self._planned, self.desk.note_trial)
         self.document = self.desk.document = Document(
             Request(
                 number=0,
@@ -100,6 +100,7 @@ class Studio:
             ),
             self.planner.ask,
             self._document_changed,
+            self.planner.try_edit,
         )
         self.desk.pair = self._pair
 

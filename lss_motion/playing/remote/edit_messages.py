@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, field
 
-from lss_motion.playing.remote.message import LABEL_MAX_CHARS, Message, Name, Operation
+from lss_motion.playing.remote.message import LABEL_MAX_CHARS, Event, Message, Name, Operation
 
 PLACE_MAX: Final = 16
 """As deep as a file may be nested."""
@@ -155,6 +155,28 @@ class TextSet(EditOperation, frozen=True, kw_only=True, tag="text.set"):
     lines: Annotated[tuple[str, ...], Meta(max_length=LINES_MAX)]
 
 
+AnyChange = (
+    KeyMove
+    | KeyScale
+    | KeySet
+    | KeyAdd
+    | KeyDelete
+    | ItemInsert
+    | ItemDelete
+    | ItemMove
+    | ValueSet
+    | ValueRename
+    | TextSet
+)
+"""What changes the text of files."""
+
+
+class EditTry(EditOperation, frozen=True, kw_only=True, tag="edit.try"):
+    """Tell what an edit would do, in the event `tried`; nothing changes. The newest wins."""
+
+    edit: AnyChange
+
+
 class Undo(EditOperation, frozen=True, kw_only=True, tag="undo"):
     """Restore the bytes of all files before the last step."""
 
@@ -177,23 +199,58 @@ class DiskKeep(EditOperation, frozen=True, kw_only=True, tag="disk.keep"):
     what: Literal["ours", "disk"]
 
 
-AnyEdit = (
-    KeyMove
-    | KeyScale
-    | KeySet
-    | KeyAdd
-    | KeyDelete
-    | ItemInsert
-    | ItemDelete
-    | ItemMove
-    | ValueSet
-    | ValueRename
-    | TextSet
-    | Undo
-    | Redo
-    | Save
-    | DiskKeep
-)
+AnyEdit = AnyChange | EditTry | Undo | Redo | Save | DiskKeep
+
+
+class TriedKey(Message, frozen=True, kw_only=True):
+    """A keyframe in the window of an edit: when it would be reached."""
+
+    place: str
+    """File and line of it, such as `wave.yaml:6`."""
+    label: str
+    authored_s: float
+    planned_s: float
+    is_missed: bool
+    """It is an anchor, and late: the plan of the whole would fail."""
+
+
+class TriedSlow(Message, frozen=True, kw_only=True):
+    """A span that would be slower than authored: which limit of which joint binds."""
+
+    from_s: float
+    to_s: float
+    by_s: float
+    joint: str
+    limit: str
+    text: str
+
+
+class TriedWindow(Message, frozen=True, kw_only=True):
+    """The plan around an edit; outside of it all is as planned, `later_s` later behind it."""
+
+    from_s: float
+    to_s: float
+    later_s: float
+    is_joined: bool
+    """Else only the plan of the whole can tell what the edit does."""
+    keys: tuple[TriedKey, ...]
+    slow: tuple[TriedSlow, ...]
+    step_s: float
+    deg: dict[str, str]
+    """The angles of each joint from `from_s` on, a step apart: base64 of little-endian f32."""
+
+
+class Tried(Event, frozen=True, kw_only=True, tag="tried"):
+    """What the edit of the operation `id` would do.
+
+    `problem`: why it could not be planned. Without that and without a `window`, only the plan of
+    the whole can tell: make the edit.
+    """
+
+    id: int
+    revision: int
+    problem: str | None
+    window: TriedWindow | None
 
 
 class Conflict(Message, frozen=True, kw_only=True):

@@ -619,6 +619,7 @@ AnyEvent = (
     | MaintenanceChanged
     | stage.StageState
     | stage.StageNote
+    | edit.Tried
 )
 
 _OPERATIONS: Final[msgspec.json.Decoder[AnyOperation]] = msgspec.json.Decoder(AnyOperation)
