@@ -3,9 +3,9 @@
 `TargetLimiter` stands between a source of targets (`live.set_target`, a gamepad, a playhead that is
 dragged) and a `Player` that plays a program without moves (`live_program`). At each tick it extends
 that program (`Player.extend`) by one ordinary move for each joint with a new target. The course
-after a move is that of the servo itself (`robot.profile.Profile`): it speeds up, travels and brakes
-within the limits of the joint, and ends at rest on its target. So whatever comes, or does not come,
-the joints keep their limits and come to rest.
+after a move is that of the servo itself (`robot.profile.trapezoid`), from where it is after all
+that was sent: it speeds up, travels and brakes within the limits of the joint, and ends at rest on
+its target. So whatever comes, or does not come, the joints keep their limits and come to rest.
 
 A joint with T chases its target with a travel speed that takes it there in `TargetRule.smooth_s`,
 or in as short a time as its speed limit allows. A joint without T jumps, and the player divides the
@@ -22,7 +22,7 @@ from msgspec import Struct
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
 from lss_motion.planning.program.line import longest_move
-from lss_motion.planning.program.model import Driving, Move, Program, received_us
+from lss_motion.planning.program.model import Driving, Move, Program
 from lss_motion.planning.program.moves import nearest_wire
 from lss_motion.planning.program.reference_grid import DURATION_MAX_MS, servo_limits
 from lss_motion.planning.program.response import PiecewiseProfile
@@ -32,7 +32,15 @@ from lss_motion.planning.program.verify import driven
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.rate_ramps import RAMP_LINE_RATIO
 from lss_motion.playing.player.repertoire import STANDING_TOLERANCE_DEG
-from lss_motion.robot.profile import DURATION_MIN_MS, Profile, profile_lead_s, ramp_deg_s2
+from lss_motion.robot.profile import (
+    DURATION_MIN_MS,
+    Piece,
+    Profile,
+    profile_lead_s,
+    ramp_deg_s2,
+    trapezoid,
+    travel_speed,
+)
 from lss_motion.robot.servo_models import FAMILIES
 from lss_motion.units import (
     MS_PER_S,
@@ -50,6 +58,7 @@ from lss_motion.units import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.robot.model import Joint, Robot
@@ -130,7 +139,7 @@ def target_values(deg: Mapping[str, float], known: Iterable[str]) -> dict[str, f
 
 
 class _FollowingJoint:
-    """One joint: the course of its servo after all moves, and its target. Servo angles."""
+    """One joint and its target. Servo angles, without the correction for the load."""
 
     def __init__(self, joint: Joint, standing_deg: float) -> None:
         self.joint = joint
@@ -138,15 +147,11 @@ class _FollowingJoint:
         self.wanted = self.sent = nearest_wire(standing_deg, self.limits)
         """The target, and the last one that was sent, in wire units."""
         self.received_us: int | None = None
-        self.is_timed = joint.drive == "timed"
+        self.course = PiecewiseProfile([Piece(-math.inf, standing_deg, 0.0, 0.0)])
+        """From the last move on, over show time."""
         # A joint that jumps has its speed with the first pulse.
-        ramp = ramp_deg_s2(joint) if self.is_timed else joint.speed_max_deg_s / PULSE_S
-        self.profile = Profile(
-            self.sent / self.limits.wire_per_deg,
-            ramp_deg_s2=ramp,
-            speed_max_deg_s=joint.speed_max_deg_s,
-            response=joint.response,
-        )
+        is_timed = joint.drive == "timed"
+        self._ramp_deg_s2 = ramp_deg_s2(joint) if is_timed else joint.speed_max_deg_s / PULSE_S
 
     def want(self, joint_deg: float) -> None:
         """Take a target; one out of the range counts as the end of the range."""
@@ -154,83 +159,63 @@ class _FollowingJoint:
         within_deg = min(max(joint_deg, joint.position_min_deg), joint.position_max_deg)
         self.wanted = nearest_wire(joint.servo_deg(within_deg), self.limits)
 
-    def is_ready(self, show_s: float) -> bool:
+    def is_ready(self, state: JointState, now_ns: int) -> bool:
         """Return whether a move may be sent: at any time, unless the servo begins each at rest."""
-        return self.joint.response.retarget != "from_rest" or not self.is_moving(show_s)
+        return self.joint.response.retarget != "from_rest" or state.is_at_rest(now_ns)
 
-    def is_moving(self, show_s: float) -> bool:
-        """Return whether the joint is on its way then."""
-        return self.profile.at(show_s)[1] != 0.0
-
-    def is_travelling(self, show_s: float) -> bool:
+    def is_travelling(self, state: JointState, now_ns: int) -> bool:
         """Return whether the joint is on its way, and does not brake already."""
-        place_deg, speed_deg_s = self.profile.at(show_s)
-        stops_deg = place_deg + self._braking_deg(speed_deg_s)
-        left_deg = abs(self.profile.target_deg - stops_deg)
+        place_deg, speed_deg_s = state.place(now_ns)
+        target_deg = self.sent / self.limits.wire_per_deg
+        if isinstance(state.profile, Profile):
+            target_deg = state.profile.target_deg
+        left_deg = abs(target_deg - place_deg - self._braking_deg(speed_deg_s))
         return left_deg > self.joint.unit_deg + abs(speed_deg_s) * self.joint.response.loop_s
 
     def _braking_deg(self, speed_deg_s: float) -> float:
         """Return how far the joint goes on while it brakes."""
-        return 0.5 * speed_deg_s * abs(speed_deg_s) / self.profile.ramp_deg_s2
+        return 0.5 * speed_deg_s * abs(speed_deg_s) / self._ramp_deg_s2
 
-    @property
-    def arrives_s(self) -> float:
-        """Show time at which the horn comes to rest after all moves."""
-        *_, last = self.profile.pieces()
-        return last.start_s + profile_lead_s(self.joint)
-
-    def chase(self, due_us: int, bus_bps: int, smooth_s: float) -> Move:
-        """Return the move to the target, due then; the course follows it."""
-        at_s = s_from_us(due_us + self._line_us(bus_bps))
-        place_deg, most_s = self.profile.at(at_s)[0], s_from_ms(DURATION_MAX_MS)
-        reach_deg = self.limits.speed_max_deg_s * most_s
+    def chase(self, start: Piece, due_us: int, smooth_s: float) -> Move:
+        """Return the move from `start` to the target, due then."""
+        place_deg, speed_max_deg_s = start.position_deg, self.limits.speed_max_deg_s
+        reach_deg = speed_max_deg_s * s_from_ms(DURATION_MAX_MS)
         wanted_deg = self.wanted / self.limits.wire_per_deg
         target_deg = min(max(wanted_deg, place_deg - reach_deg), place_deg + reach_deg)
         target = nearest_wire(target_deg, self.limits)
         target_deg = target / self.limits.wire_per_deg
-        least_s = abs(target_deg - place_deg) / self.limits.speed_max_deg_s
+        least_s = abs(target_deg - place_deg) / speed_max_deg_s
         if self.joint.response.t_law == "exact":  # Its T has the ramps in it.
-            fastest = self.profile.copy()
-            fastest.retarget(at_s, target_deg, None)
-            *_, last = fastest.pieces()
-            least_s = last.start_s - at_s
-        return self._move(target, max(least_s, smooth_s), due_us, bus_bps)
+            *_, last = trapezoid(start, target_deg, speed_max_deg_s, self._ramp_deg_s2)
+            least_s = last.start_s - start.start_s
+        return self._move(start, target, max(least_s, smooth_s), due_us)
 
-    def brake(self, due_us: int, bus_bps: int) -> Move:
+    def brake(self, start: Piece, due_us: int) -> Move:
         """Return the move that brings the joint to rest as soon as its ramps allow.
 
         Its target is as far ahead as the servo needs if it receives it a control tick late.
         """
-        at_s = s_from_us(due_us + self._line_us(bus_bps))
-        place_deg, speed_deg_s = self.profile.at(at_s)
+        place_deg, speed_deg_s = start.position_deg, start.speed_deg_s
         way_deg = self._braking_deg(speed_deg_s) + speed_deg_s * self.joint.response.loop_s
         self.wanted = nearest_wire(place_deg + way_deg, self.limits)
         lasts_s = abs(way_deg / speed_deg_s) if speed_deg_s else 0.0
-        return self._move(self.wanted, lasts_s, due_us, bus_bps)
+        return self._move(start, self.wanted, lasts_s, due_us)
 
-    def _move(self, target: int, lasts_s: float, due_us: int, bus_bps: int) -> Move:
-        joint, duration_ms = self.joint, None
-        if self.is_timed:
+    def _move(self, start: Piece, target: int, lasts_s: float, due_us: int) -> Move:
+        joint, duration_ms, travel_deg_s = self.joint, None, self.limits.speed_max_deg_s
+        target_deg = target / self.limits.wire_per_deg
+        if joint.drive == "timed":
             duration_ms = math.ceil(MS_PER_S * lasts_s - 1e-6)
             duration_ms = min(max(duration_ms, DURATION_MIN_MS), DURATION_MAX_MS)
-        move = Move(due_us, joint.bus, joint.servo_id, target, duration_ms)
-        self.sent = target
-        self.received_us = received_us(move, bus_bps)
-        at_s = s_from_us(self.received_us)
-        duration_s = None if duration_ms is None else s_from_ms(duration_ms)
-        self.profile.retarget(at_s, target / self.limits.wire_per_deg, duration_s)
-        return move
-
-    def _line_us(self, bus_bps: int) -> int:
-        """Return about how long a move is on the line: the longest one, so that T is enough."""
-        return line_time_ns(len(longest_move(self.joint)), bus_bps) // NS_PER_US
-
-    def later(self) -> PiecewiseProfile:
-        """Return the course from the last move on; what was before it is dropped from memory."""
-        assert self.received_us is not None
-        at_s = s_from_us(self.received_us)
-        self.profile.forget_before(at_s)
-        return PiecewiseProfile(piece for piece in self.profile.pieces() if piece.start_s >= at_s)
+            asked_deg_s = travel_speed(
+                start, target_deg, s_from_ms(duration_ms), self._ramp_deg_s2, joint.response
+            )
+            travel_deg_s = min(travel_deg_s, asked_deg_s)
+        self.course = PiecewiseProfile(
+            trapezoid(start, target_deg, travel_deg_s, self._ramp_deg_s2)
+        )
+        self.sent, self.received_us = target, us_from_s(start.start_s)
+        return Move(due_us, joint.bus, joint.servo_id, target, duration_ms)
 
 
 class TargetLimiter:
@@ -242,7 +227,7 @@ class TargetLimiter:
     def __init__(self, program: Program, robot: Robot, rule: TargetRule | None = None) -> None:
         self._rule = rule or TargetRule()
         self._robot = robot = driven(robot, program)
-        self._courses = {
+        self._joints = {
             name: _FollowingJoint(robot.joints[name], robot.joints[name].servo_deg(deg))
             for name, deg in program.start_deg.items()
         }
@@ -258,8 +243,8 @@ class TargetLimiter:
     def _slots_ns(self) -> list[int]:
         """Return how long one move for each joint takes on each bus."""
         slots_ns = dict.fromkeys(self._robot.buses, 0)
-        for course in self._courses.values():
-            slots_ns[course.joint.bus] += self._slot_us(course.joint) * NS_PER_US
+        for one in self._joints.values():
+            slots_ns[one.joint.bus] += self._slot_us(one.joint) * NS_PER_US
         return list(slots_ns.values())
 
     def _slot_us(self, joint: Joint) -> int:
@@ -288,8 +273,8 @@ class TargetLimiter:
         One out of the range counts as the end of the range. Raises `InputError`, and takes none,
         where one is for an unknown joint or no angle.
         """
-        for name, angle in target_values(deg, self._courses).items():
-            self._courses[name].want(angle)
+        for name, angle in target_values(deg, self._joints).items():
+            self._joints[name].want(angle)
         self._heard_ns = now_ns
 
     def act(self, player: Player, now_ns: int) -> None:
@@ -308,10 +293,11 @@ class TargetLimiter:
         if now_ns < next_ns or acted_ns < self._leaves_ns:
             player.wake_at(max(next_ns, now_ns + 1))
             return
-        show_s = show.show_s(now_ns)
-        far = [one for one in self._courses.values() if one.wanted != one.sent]
+        far = {name: one for name, one in self._joints.items() if one.wanted != one.sent}
         if far:
-            self._extend(player, show, [one for one in far if one.is_ready(show_s)], now_ns)
+            states = show.joint_states
+            ready = [one for name, one in far.items() if one.is_ready(states[name], now_ns)]
+            self._extend(player, show, ready, now_ns)
             player.wake_at(now_ns + self.tick_ns)
 
     def brake(self, player: Player, now_ns: int) -> None:
@@ -320,46 +306,51 @@ class TargetLimiter:
         show = player.show
         if show is None or not _takes_moves(player, show, now_ns):
             return
-        show_s = show.show_s(now_ns)
-        moving = [one for one in self._courses.values() if one.is_travelling(show_s)]
-        for course in self._courses.values():
-            course.wanted = course.sent
+        states = show.joint_states
+        moving = [
+            one for name, one in self._joints.items() if one.is_travelling(states[name], now_ns)
+        ]
+        for one in self._joints.values():
+            one.wanted = one.sent
         self._extend(player, show, moving, now_ns, is_braking=True)
 
     def _extend(
         self,
         player: Player,
         show: Streamer,
-        courses: Sequence[_FollowingJoint],
+        joints: Sequence[_FollowingJoint],
         now_ns: int,
         *,
         is_braking: bool = False,
     ) -> None:
         """Send these joints to their targets, one after the other on each line, from now on."""
-        if not courses:
+        if not joints:
             return
         base_us = math.floor(US_PER_S * show.show_s(now_ns)) + SOON_US
         queues_us = dict.fromkeys(self._robot.buses, 0)
         moves = []
-        for course in courses:
-            joint, bus = course.joint, self._robot.buses[course.joint.bus]
+        for one in joints:
+            joint, state = one.joint, show.joint_states[one.joint.name]
             # It leaves earlier by the lag that was learnt; later where that is less than assumed.
-            early_us = us_from_s(show.joint_states[joint.name].early_s)
-            due_us = base_us + queues_us[bus.name] + max(early_us, 0)
-            if course.received_us is not None:
-                due_us = max(due_us, course.received_us)
-            queues_us[bus.name] += self._slot_us(joint)
+            early_us = us_from_s(state.early_s)
+            due_us = base_us + queues_us[joint.bus] + max(early_us, 0)
+            if one.received_us is not None:
+                due_us = max(due_us, one.received_us)
+            queues_us[joint.bus] += self._slot_us(joint)
+            received_us = due_us + self._slot_us(joint)
+            received_ns = now_ns + (received_us - base_us - early_us) * NS_PER_US
+            start = _start(state, received_ns, s_from_us(received_us), show.clock.rate(now_ns))
             if is_braking:
-                moves.append(course.brake(due_us, bus.baud_bps))
+                moves.append(one.brake(start, due_us))
             else:
-                moves.append(course.chase(due_us, bus.baud_bps, self._rule.smooth_s))
+                moves.append(one.chase(start, due_us, self._rule.smooth_s))
         moves.sort()
-        ends_s = max(one.arrives_s for one in self._courses.values())
+        ends_s = (one.course.end_s + profile_lead_s(one.joint) for one in self._joints.values())
         extension = Extension(
             from_us=moves[0].due_us,
             moves=moves,
-            duration_s=max(ends_s, s_from_us(moves[-1].due_us)),
-            profiles={one.joint.name: one.later() for one in courses},
+            duration_s=max(s_from_us(moves[-1].due_us), *ends_s),
+            profiles={one.joint.name: one.course for one in joints},
             line_use={},
             tolerance_deg=STANDING_TOLERANCE_DEG,
         )
@@ -367,6 +358,14 @@ class TargetLimiter:
         assert is_taken, "it begins after now, and the show is open"
         self._ticked_ns = now_ns
         self._leaves_ns = now_ns + (SOON_US + max(queues_us.values())) * NS_PER_US
+
+
+def _start(state: JointState, received_ns: int, at_s: float, rate: float) -> Piece:
+    """Return where a joint is when it receives a move, by all that was sent; show time."""
+    place_deg, speed_deg_s = state.place(received_ns)
+    if state.joint.response.retarget == "from_rest":
+        speed_deg_s = 0.0
+    return Piece(at_s, place_deg - state.disturbance.offset_deg, speed_deg_s / rate, 0.0)
 
 
 def _takes_moves(player: Player, show: Streamer, now_ns: int) -> bool:

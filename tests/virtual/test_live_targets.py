@@ -246,7 +246,7 @@ def judged(seed):
     return [*run.broken(), *([] if run.result.player.faults else run.late())]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(12), 4454])
 def test_hostile_targets_break_no_limit_and_none_is_late(seed):
     assert judged(seed) == []
 
