@@ -54,13 +54,14 @@ if TYPE_CHECKING:
         check,
         compile,  # noqa: A004
         export,
+        gait,
         load_robot,
         load_sequence,
         plan,
         play,
     )
     from lss_motion.playing.live import Live, connect
-    from lss_motion.playing.remote.handle import Handle, start
+    from lss_motion.playing.remote.handle import Handle, start, walk
     from lss_motion.playing.remote.player_end import LossRule
     from lss_motion.playing.report import Report
     from lss_motion.playing.targets import TargetRule
@@ -92,6 +93,7 @@ __all__ = [
     "compile",
     "connect",
     "export",
+    "gait",
     "identify",
     "identify_log",
     "import_motion",
@@ -101,6 +103,7 @@ __all__ = [
     "play",
     "scan",
     "start",
+    "walk",
 ]
 
 _HOME = {
@@ -119,6 +122,7 @@ _HOME = {
     "compile": "lss_motion.playing.api",
     "connect": "lss_motion.playing.live",
     "export": "lss_motion.playing.api",
+    "gait": "lss_motion.playing.api",
     "identify": "lss_motion.maintenance.api",
     "identify_log": "lss_motion.maintenance.api",
     "import_motion": "lss_motion.interchange.importing",
@@ -128,6 +132,7 @@ _HOME = {
     "play": "lss_motion.playing.api",
     "scan": "lss_motion.maintenance.api",
     "start": "lss_motion.playing.remote.handle",
+    "walk": "lss_motion.playing.remote.handle",
 }
 
 

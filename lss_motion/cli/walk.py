@@ -18,8 +18,6 @@ from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
     EXIT_NOT_FOLLOWED,
-    InputError,
-    PlanningError,
 )
 from lss_motion.files.output import OTHER_NAME_REMEDY, Output, OutputKind, require_outputs
 from lss_motion.files.texts import counted
@@ -40,14 +38,6 @@ if TYPE_CHECKING:
     from lss_motion.show.gait.model import Gait
     from lss_motion.show.gait.stepping import Twist
 
-
-TOP_STRIDE_MM: Final = 40.0
-
-TOP_TURN_DEG: Final = 12.0
-"""The largest motion in one cycle, if neither the file nor an option sets it. It is halved while it
-is out of reach, at most `HALVINGS_MAX` times. Chosen: half of the reach of the example robots."""
-
-HALVINGS_MAX: Final = 4
 
 KEYS_HELP: Final = (
     "arrows or w s forward, back; arrows turn; a d sideways; + - speed; space stop; x sit, stand; "
@@ -100,6 +90,7 @@ def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion.planning import shows
     from lss_motion.playing import api
     from lss_motion.playing.connection import with_port
+    from lss_motion.playing.walking.steered import fastest
     from lss_motion.show.gait.model import BodyPose
 
     outputs = [Output(arguments.report, OutputKind.REPORT)]
@@ -107,7 +98,7 @@ def _walk(arguments: argparse.Namespace) -> int:
     require_outputs(outputs, sources=sources, remedy=OTHER_NAME_REMEDY)
     read_robot = reader(arguments, may_query=True)
     gait, robot = shows.load_gait(arguments.file, arguments.robot, read_robot)
-    gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
+    gait, top = fastest(replace(gait, start=BodyPose()), robot, vars(arguments))
     robot = with_port(robot, arguments.port)
     joints = [name for leg in gait.legs for name in leg.joints]
     learning = Learning(robot, joints, is_kept=not api.is_simulated(robot))
@@ -178,36 +169,6 @@ def _exit_code(result: Result[Report], terminal: Terminal) -> int:
             return EXIT_NOT_FOLLOWED
         case _:
             return EXIT_FINISHED
-
-
-def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Gait, Twist]:
-    """Return the gait with a cycle that the servos can follow, and its largest velocity.
-
-    Raises `InputError` or `PlanningError` if an option or a walk of the file is out of reach.
-    """
-    from lss_motion.show.gait.model import Walk
-    from lss_motion.show.gait.steering import slowed_to_limits
-    from lss_motion.show.gait.stepping import STILL
-
-    top, assumed = STILL, {}
-    for name, value in (
-        ("forward_mm_s", TOP_STRIDE_MM / gait.cycle_s),
-        ("left_mm_s", TOP_STRIDE_MM / gait.cycle_s),
-        ("turn_deg_s", TOP_TURN_DEG / gait.cycle_s),
-    ):
-        option = getattr(arguments, name)
-        walks = [abs(getattr(action, name)) for action in gait.actions if isinstance(action, Walk)]
-        if option is None and max(walks, default=0.0) == 0.0:
-            assumed[name] = value
-        else:
-            top = replace(top, **{name: option or max(walks)})
-    for name, value in assumed.items():
-        for halvings in range(HALVINGS_MAX):
-            with contextlib.suppress(InputError, PlanningError):
-                slowed_to_limits(gait, robot, replace(STILL, **{name: value / 2**halvings}))
-                top = replace(top, **{name: value / 2**halvings})
-                break
-    return slowed_to_limits(gait, robot, top)
 
 
 class WalkControls:

@@ -4,7 +4,7 @@
 |---------------------|------------------------------------------------|--------------------------|
 | `player/`           | the state machine; no clock, port, thread      | everything here          |
 | `remote/`           | the process that plays; its messages           | `stage`, `studio`, `api` |
-| `walking/`          | a gait that is steered while playing           | `cli.walk`               |
+| `walking/`          | a gait that is steered while playing           | `cli.walk`, `remote`     |
 | `api.py`            | `lss.load_robot`, `lss.play`, …                | users                    |
 | `run.py`            | one run, of a show or of many, on open ports   | `api`, `cli`, `stage`    |
 | `targets.py`        | joints follow targets: the one limiter         | `remote`, `live`         |

@@ -25,6 +25,7 @@ __all__ = [
     "check",
     "compile",
     "export",
+    "gait",
     "is_simulated",
     "load_robot",
     "load_sequence",
@@ -75,6 +76,23 @@ def check(
         trials = list(robustness.trials(show))
         found["robust"] = robustness.robust_as_json(trials, show.program.duration_s)
     return found
+
+
+def gait(path: Path | str, robot: Robot | None = None) -> dict[str, Any]:
+    """Return what `lss-motion gait --json` prints: margin, pace, foot errors of each passage.
+
+    Raises `InputError` or `PlanningError` for a gait that cannot be walked.
+    """
+    from lss_motion.show.gait.load import load_gait, sequence_from
+    from lss_motion.show.gait.pacing import gait_as_json, paced
+
+    loaded = load_gait(Path(path), robot)
+    if robot is None:
+        assert loaded.robot_path is not None, "without a robot it would not have been loaded"
+        robot = load_robot(loaded.robot_path)
+    passages = paced(loaded, robot)
+    plan(sequence_from(loaded, passages), robot)  # As the command: the verifier must accept it.
+    return gait_as_json(loaded, passages)
 
 
 def export(trajectory: Trajectory, format_name: str, *, rate_hz: float = 50.0) -> str:

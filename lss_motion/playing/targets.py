@@ -267,6 +267,10 @@ class TargetLimiter:
         """Return what ends a wait: nothing of this."""
         return ()
 
+    def take_texts(self) -> Sequence[str]:
+        """Return what a client should know: nothing of this."""
+        return ()
+
     def set(self, deg: Mapping[str, float], now_ns: int) -> None:
         """Take new targets, joint angles; the newest of each joint counts.
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from served_bus import served_bus
 
+import lss_motion as lss
 from lss_motion.planning import shows
 from lss_motion.sim.bus import bus_from_robot
 from tests.programs import ProgramBeside, terminal_command
@@ -101,3 +102,27 @@ def test_a_first_walk_offers_a_careful_run_of_every_joint(tmp_path):
         assert process.ended() == 130, process.said
         assert "no: nothing was moved" in process.said
         assert not any(is_move(line) for _, line in bus.lines)
+
+
+def test_a_program_in_python_makes_it_walk_and_leaves_it_in_its_stand(tmp_path):
+    _, robot = shows.load_gait(EXAMPLE, None)
+    bus = bus_from_robot(robot, "main", seed=1)
+    bus.record()
+    with (
+        served_bus(bus, tmp_path / "port"),
+        lss.walk(EXAMPLE, port=str(tmp_path / "port")) as walk,
+    ):
+        next(e for e in walk.events(60) if e.event == "phase" and e.phase == "playing")
+        wait_for_moves(bus, APPROACH_MOVES)
+        with pytest.raises(lss.InputError, match="turn_deg_s is nan"):
+            walk.steer(turn_deg_s=float("nan"))
+        walk.steer(forward_mm_s=1000.0)  # As fast as it can.
+        wait_for_moves(bus, APPROACH_MOVES + 100)
+        walk.pause()
+        refused = next(e for e in walk.events(60) if e.event == "refused")
+        assert "the robot is led" in refused.text
+        walk.stop()
+        assert walk.wait(60).outcome == "stopped"
+    last = horns_at_the_end(bus)
+    assert np.ptp(last, axis=0).max() < 0.2
+    assert np.abs(last[-1] - approached(bus)).max() < 0.6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import jsonschema
@@ -11,6 +12,7 @@ import pytest
 
 import lss_motion as lss
 from lss_motion.cli import play
+from lss_motion.cli.commands import COMMAND_GROUPS
 from lss_motion.cli.main import main
 from lss_motion.errors import PYTHON_NAMES
 
@@ -74,6 +76,7 @@ def test_a_gait_is_printed_as_json(capsys):
     found = json.loads(printed(capsys, "gait", path, "--json"))
     lines = printed(capsys, "gait", path).splitlines()
     assert f"one pass {found['duration_s']:.2f} s" in lines[0]
+    assert json.loads(json.dumps(lss.gait(path))) == found
     assert len(found["legs"]) == 4
     walk, *_ = found["passages"]
     assert [action["label"] for action in walk["actions"]] == ["walk", "bend", "back"]
@@ -198,3 +201,19 @@ def test_options_of_a_command_that_is_shown_stay():
         "use is_virtual=True; `lss-play show.yaml --virtual` does it, or port X; "
         "lss-play --force x, y"
     )
+
+
+def test_the_guide_says_of_every_command_what_there_is_for_it_in_python():
+    """Whatever its table names is there, and each command of both programs stands in it."""
+    text = (SEQUENCES / "guides" / "python.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|$", text, re.MULTILINE)
+    named = {word.split()[0] for row, _ in rows for word in re.findall(r"`([^`]+)`", row)}
+    commands = {name for group in COMMAND_GROUPS.values() for name in group}
+    assert named == commands | {"play"}
+    for _, cell in rows:
+        for name in re.findall(r"`lss\.(\w+)", cell):
+            assert name in lss.__all__, name
+        for name in re.findall(r"`live\.(\w+)", cell):
+            assert hasattr(lss.Live, name), name
+        for name in re.findall(r"`handle\.(\w+)", cell):
+            assert hasattr(lss.Handle, name), name

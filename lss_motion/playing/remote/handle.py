@@ -18,15 +18,17 @@ import queue
 import sys
 import threading
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import BusError, InputError, in_python_words
 from lss_motion.planning.program.model import Program
 from lss_motion.playing.connection import with_port
 from lss_motion.playing.remote import schema as m
-from lss_motion.playing.remote.job import Job
+from lss_motion.playing.remote.job import Job, WalkRule
 from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.remote.player_end import LossRule
 from lss_motion.playing.remote.process import packed, start_process
@@ -101,8 +103,7 @@ def start(  # noqa: PLR0913  (the options of one run)
     Raises `InputError` where the system has no socket pairs that a new process can inherit
     (Windows): use `lss.play` there. What is wrong with the robot is raised by `wait`.
     """
-    if sys.platform == "win32":
-        raise InputError("start needs Linux or macOS; play(program, robot) works here")
+    _require_processes("start")
     job = Job(
         shows=program,
         robot=with_port(robot, port),
@@ -119,6 +120,65 @@ def start(  # noqa: PLR0913  (the options of one run)
         },
     )
     return Handle(job, program)
+
+
+def walk(  # noqa: PLR0913  (the options of one run)
+    path: Path | str,
+    robot: Robot | None = None,
+    *,
+    port: str | None = None,
+    forward_mm_s: float | None = None,
+    left_mm_s: float | None = None,
+    turn_deg_s: float | None = None,
+    has_feedback: bool = True,
+    must_ask: bool = False,
+    is_forced: bool = False,
+    seed: int = 0,
+    rule: LossRule | None = None,
+) -> Handle:
+    """Walk the gait of a file in a process of its own; return at once, steer with `Handle.steer`.
+
+    The robot stands until it is steered, and can always reach a stable stand; it goes there on
+    `stop` and when this process ends. The velocities are the largest that can be asked for; by
+    default those of the file. The other options are those of `lss.start`.
+
+    Raises `InputError` or `PlanningError` for a file or a velocity that cannot be walked.
+    """
+    from lss_motion.planning.shows import GAIT_TOLERANCE_DEG
+    from lss_motion.playing.walking.planner import WalkPlanner
+    from lss_motion.playing.walking.steered import fastest
+    from lss_motion.robot.load import load_robot
+    from lss_motion.show.gait.load import load_gait
+    from lss_motion.show.gait.model import BodyPose
+
+    _require_processes("walk")
+    gait = load_gait(Path(path), robot)
+    if robot is None:
+        assert gait.robot_path is not None, "without a robot it would not have been loaded"
+        robot = load_robot(gait.robot_path)
+    wanted = {"forward_mm_s": forward_mm_s, "left_mm_s": left_mm_s, "turn_deg_s": turn_deg_s}
+    gait, top = fastest(replace(gait, start=BodyPose()), robot, wanted)
+    robot = with_port(robot, port)
+    program = WalkPlanner(gait, robot, GAIT_TOLERANCE_DEG).program
+    job = Job(
+        shows=program,
+        robot=robot,
+        rule=rule or LossRule(),
+        walk=WalkRule(gait=gait, top=top, tolerance_deg=GAIT_TOLERANCE_DEG),
+        options={
+            "has_feedback": has_feedback,
+            "must_ask": must_ask,
+            "is_forced": is_forced,
+            "is_open": True,
+            "seed": seed,
+        },
+    )
+    return Handle(job, program)
+
+
+def _require_processes(name: str) -> None:
+    if sys.platform == "win32":
+        raise InputError(f"{name} needs Linux or macOS; play(program, robot) works here")
 
 
 class Handle(Closing):
@@ -191,6 +251,19 @@ class Handle(Closing):
         with self._lock:
             self._targets |= deg
         self._has_targets.set()
+
+    def steer(
+        self, *, forward_mm_s: float = 0.0, left_mm_s: float = 0.0, turn_deg_s: float = 0.0
+    ) -> None:
+        """Walk at this velocity of the body from the next steps on; without any go to a stand.
+
+        It is for what `walk` has started. Each part is kept within the largest velocity.
+        """
+        parts = {"forward_mm_s": forward_mm_s, "left_mm_s": left_mm_s, "turn_deg_s": turn_deg_s}
+        for name, value in parts.items():
+            if not abs(value) <= m.WALK_MAX:
+                raise InputError(f"{name} is {value:g}; from {-m.WALK_MAX:g} to {m.WALK_MAX:g}")
+        self._send(m.SteerWalk, **{name: float(value) for name, value in parts.items()})
 
     def stop(self) -> None:
         """Brake within the limits, hold, and give the servos back their settings."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
-from lss_motion.errors import LssMotionError
+from lss_motion.errors import LssMotionError, PlanningError
 from lss_motion.planning.program.model import Program
 from lss_motion.playing.player.following import Following, FollowRule, require_can_follow
 from lss_motion.playing.remote.message import duration_of, plan_hash
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.schema import Ended, MarkInfo, Started
 from lss_motion.playing.targets import TargetLimiter, TargetRule
+from lss_motion.playing.walking.steered import SteeredWalk
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +23,16 @@ if TYPE_CHECKING:
     from lss_motion.playing.remote.operator_end import Operator
     from lss_motion.playing.report import Report, StageReport
     from lss_motion.robot.model import Robot
+    from lss_motion.show.gait.model import Gait
+    from lss_motion.show.gait.stepping import Twist
+
+
+class WalkRule(Struct, frozen=True, kw_only=True):
+    """How a robot walks: its gait, with a cycle that it can follow, and its largest velocity."""
+
+    gait: Gait
+    top: Twist
+    tolerance_deg: float
 
 
 class Job(Struct, frozen=True, kw_only=True):
@@ -38,6 +50,8 @@ class Job(Struct, frozen=True, kw_only=True):
     """The show follows a leader, of which operations `follow` tell, and stands until then."""
     targets: TargetRule | None = None
     """The joints follow targets, of which operations `target` tell; the show is a live program."""
+    walk: WalkRule | None = None
+    """The robot walks as operations `walk.steer` tell; the show is that of its planner."""
     options: dict[str, Any] = field(default_factory=dict)
     """Those of `run.RunOptions`."""
 
@@ -46,12 +60,23 @@ class Job(Struct, frozen=True, kw_only=True):
         following = None
         if self.follow is not None:
             following = Following(self.follow, place_s=self.options.get("start_s"), pauses=True)
+        if self.walk is not None:
+            return self._walked(operator, self.walk)
         limiter = None
         if self.targets is not None:
             assert isinstance(self.shows, Program), "a robot that follows targets plays no shows"
             limiter = TargetLimiter(self.shows, self.robot, self.targets)
-        steering = Steering(operator, self.rule, following=following, limiter=limiter)
-        return play(self, steering)
+        return play(self, Steering(operator, self.rule, following=following, led=limiter))
+
+    def _walked(self, operator: Operator, rule: WalkRule) -> Outcome:
+        try:
+            with SteeredWalk(rule.gait, self.robot, rule.top, rule.tolerance_deg) as walk:
+                outcome = play(self, Steering(operator, self.rule, led=walk))
+                return replace(outcome, error=outcome.error or walk.pilot.lost)
+        except PlanningError as error:
+            outcome = Outcome(None, error)
+            operator.send(outcome.message)
+            return outcome
 
 
 class Outcome(Struct, frozen=True):

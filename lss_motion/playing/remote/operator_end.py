@@ -115,7 +115,7 @@ class Operator:
 
     def accept(self, operation: m.AnyOperation) -> None:
         """Answer an operation that is carried out; what is repeated often gets no answer."""
-        if not isinstance(operation, m.Beat | m.Follow | m.LeadJoints):
+        if not isinstance(operation, m.Beat | m.Follow | m.LeadJoints | m.SteerWalk):
             self.send(m.Accepted(id=operation.id, op=operation.op))
 
     def _take(self, now_ns: int) -> list[m.AnyOperation]:

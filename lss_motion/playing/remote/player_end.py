@@ -8,7 +8,7 @@ at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from msgspec import Struct
 
@@ -20,6 +20,8 @@ from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.message import Telemetry
+from lss_motion.playing.targets import TargetLimiter
+from lss_motion.playing.walking.steered import SteeredWalk
 from lss_motion.protocol.constants import Led
 from lss_motion.system.messages import Kind
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.streamer import Streamer
     from lss_motion.playing.remote.operator_end import Operator
-    from lss_motion.playing.targets import TargetLimiter
     from lss_motion.robot.model import Robot
 
 OnLost = Literal["stop", "hold", "go_on"]
@@ -60,6 +61,25 @@ class LossRule(Struct, frozen=True):
     silent_s: float | None = None
 
 
+class MotionSource(Protocol):
+    """What extends an open show by what a client asks for: a walk, or joints that follow targets.
+
+    It never waits.
+    """
+
+    def filenos(self) -> Sequence[int]:
+        """Return what ends a wait."""
+
+    def act(self, player: Player, now_ns: int) -> None:
+        """Extend the show, if that is due."""
+
+    def brake(self, player: Player, now_ns: int) -> None:
+        """Bring the robot to rest as soon as its limits allow; the show ends after that."""
+
+    def take_texts(self) -> Sequence[str]:
+        """Return what a client should know since the last call."""
+
+
 class Steering:
     """One client that steers one run. Its methods are the callbacks of `run.Observer`."""
 
@@ -69,14 +89,14 @@ class Steering:
         rule: LossRule | None = None,
         *,
         following: Following | None = None,
-        limiter: TargetLimiter | None = None,
+        led: MotionSource | None = None,
     ) -> None:
         """Steer by what `operator` asks for.
 
-        With `following` the show follows its legs, with `limiter` joints follow targets.
+        With `following` the show follows its legs; `led` extends it by what is asked for.
         """
         self.operator = operator
-        self._limiter = limiter
+        self._led = led
         self._following = following
         self._rule = rule or LossRule()
         self._is_lost = self._has_stopped = False
@@ -94,7 +114,7 @@ class Steering:
 
     def filenos(self) -> Sequence[int]:
         """Return what ends a wait."""
-        return self.operator.filenos()
+        return [*self.operator.filenos(), *(() if self._led is None else self._led.filenos())]
 
     def act(self, player: Player, now_ns: int) -> None:
         """Apply what has arrived since the last call, stops first."""
@@ -109,8 +129,10 @@ class Steering:
                 self.operator.accept(operation)
         self._apply_rate(player, now_ns)
         self._watch(player, now_ns)
-        if self._limiter is not None and not self._has_stopped:
-            self._limiter.act(player, now_ns)
+        if self._led is not None and not self._has_stopped:
+            self._led.act(player, now_ns)
+            for text in self._led.take_texts():
+                self.operator.send(m.WarningRaised(text=text))
         if self._following is not None and not self._has_stopped:
             self._following.turn(player, now_ns)
             for text in self._following.take_texts():
@@ -137,8 +159,8 @@ class Steering:
                 raise InputError("the show has been stopped; start it again")
             case m.Follow():
                 self._lead(operation, now_ns)
-            case m.LeadJoints():
-                self._aim(operation, now_ns)
+            case m.LeadJoints() | m.SteerWalk():
+                self._lead_on(operation, now_ns)
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 self._steer(operation, player, now_ns)
             case s.Change() | s.EndAdded() if player.repertoire.only is None:
@@ -148,8 +170,8 @@ class Steering:
 
     def _steer(self, operation: m.ShowOperation, player: Player, now_ns: int) -> None:
         """Apply an operation that ends nothing."""
-        if self._limiter is not None and not isinstance(operation, m.Go):
-            raise InputError(f"joints follow targets: {operation.op} has no meaning now")
+        if self._led is not None and not isinstance(operation, m.Go):
+            raise InputError(f"the robot is led: {operation.op} has no meaning now")
         if self._following is not None and isinstance(operation, m.Rate | m.Seek):
             raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
         match operation:
@@ -188,17 +210,21 @@ class Steering:
         leg = LeaderPosition(operation.instant_ns, operation.show_s, operation.rate)
         self._following.lead(leg, now_ns)
 
-    def _aim(self, operation: m.LeadJoints, now_ns: int) -> None:
-        if self._limiter is None:
-            raise InputError("the player was not started to follow targets")
-        self._limiter.set(operation.deg, now_ns)
+    def _lead_on(self, operation: m.LeadJoints | m.SteerWalk, now_ns: int) -> None:
+        match operation:
+            case m.LeadJoints() if isinstance(self._led, TargetLimiter):
+                self._led.set(operation.deg, now_ns)
+            case m.SteerWalk() if isinstance(self._led, SteeredWalk):
+                self._led.steer(operation.forward_mm_s, operation.left_mm_s, operation.turn_deg_s)
+            case _:
+                raise InputError(f"the player was not started for {operation.op}")
 
     def _stop(self, player: Player, now_ns: int) -> None:
         """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""
         if not self._has_stopped:
             self._has_stopped = True
-            if self._limiter is not None:
-                self._limiter.brake(player, now_ns)
+            if self._led is not None:
+                self._led.brake(player, now_ns)
             player.stop(now_ns)
 
     def _apply_rate(self, player: Player, now_ns: int) -> None:

@@ -26,6 +26,8 @@ PATH_MAX_CHARS: Final = 1000
 JOINTS_MAX: Final = 100
 TURN_MAX_DEG: Final = 36_000.0
 """A hundred turns, as in robot files."""
+WALK_MAX: Final = 10_000.0
+"""Of mm/s and deg/s, as the options of `walk`."""
 NAME_PATTERN: Final = r"^[A-Za-z][A-Za-z0-9_-]*$(?!\n)"
 """Python's `$` would let a line end pass."""
 RATE_LEAST: Final = 0.05
@@ -167,6 +169,17 @@ class LeadJoints(Operation, frozen=True, kw_only=True, tag="target"):
     ]
 
 
+class SteerWalk(Operation, frozen=True, kw_only=True, tag="walk.steer"):
+    """Walk at this velocity of the body from the next steps on, each part within the largest one.
+
+    It is for a player that was started to walk. Without an answer, unless it is refused.
+    """
+
+    forward_mm_s: Annotated[float, Meta(ge=-WALK_MAX, le=WALK_MAX)] = 0.0
+    left_mm_s: Annotated[float, Meta(ge=-WALK_MAX, le=WALK_MAX)] = 0.0
+    turn_deg_s: Annotated[float, Meta(ge=-WALK_MAX, le=WALK_MAX)] = 0.0
+
+
 class PoseGo(Operation, frozen=True, kw_only=True, tag="pose.go"):
     """Move to a pose of the robot file, in `duration_s` or longer where a limit requires it."""
 
@@ -236,6 +249,7 @@ AnyOperation = (
     | Disconnect
     | Jog
     | LeadJoints
+    | SteerWalk
     | PoseGo
     | PoseSave
     | Limp
