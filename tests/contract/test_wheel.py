@@ -78,6 +78,16 @@ def test_an_example_is_listed_written_and_played_in_an_empty_folder(lss):
     assert "wave: finished" in played.stdout
 
 
+def test_the_guides_are_opened_and_are_no_examples(lss):
+    pages = {path.stem for path in (ROOT / "sequences" / "guides").glob("*.md")}
+    assert set(lss("lss-motion", "docs", "--list").stdout.split()) == pages
+    shown = lss("lss-motion", "docs", "recipes")
+    assert shown.stdout == (ROOT / "sequences" / "guides" / "recipes.md").read_text()
+    package = lss.folder.parent / "site" / "lss_motion"
+    assert not (package / "examples" / "guides").exists()
+    assert (package / "examples" / "nodes" / "targets_ros2.py").is_file()
+
+
 def test_every_example_is_written_whole(lss):
     """With the parts and robots of play lists, layers and gaits."""
     for path in sorted((ROOT / "sequences").glob("*.yaml")):
