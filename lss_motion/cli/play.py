@@ -195,12 +195,13 @@ def play(arguments: argparse.Namespace) -> int:
         return EXIT_INTERRUPTED
     is_asked = not arguments.virtual and must_ask(arguments, robot)
     is_real = not is_simulated(robot)
-    learning = Learning(robot, show.program.start_deg, is_kept=is_real)
+    servos = robot.servo_robot
+    learning = Learning(servos, show.program.start_deg, is_kept=is_real)
 
     def careful() -> int:
         print_line = discard if arguments.quiet else put
-        faults, deviation = _faults(arguments, robot), _deviation(arguments, robot)
-        given = (arguments, robot, show.program.start_deg, learning, print_line)
+        faults, deviation = _faults(arguments, servos), _deviation(arguments, servos)
+        given = (arguments, servos, show.program.start_deg, learning, print_line)
         return careful_run(*given, faults=faults, deviation=deviation)
 
     def run(rate: float | None) -> int | None:
@@ -296,7 +297,7 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
     if arguments.sim is not None:
         if not is_simulated:
             raise InputError("--sim needs the simulated bus: use it with --port sim://")
-        _deviation(arguments, show.robot)
+        _deviation(arguments, show.robot.servo_robot)
     if arguments.virtual and show.program.is_endless:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
     if arguments.start_s is not None:
@@ -360,8 +361,8 @@ def _perform(  # noqa: PLR0913  (what one run needs)
             start_s=arguments.start_s,
             trajectory=show.trajectory,
             observer=observer,
-            faults=_faults(arguments, robot),
-            deviation=_deviation(arguments, robot),
+            faults=_faults(arguments, robot.servo_robot),
+            deviation=_deviation(arguments, robot.servo_robot),
             is_real_time=arguments.real_time,
             must_ask=is_asked,
             may_run=True,

@@ -15,6 +15,7 @@ from msgspec import UNSET, Struct, UnsetType, to_builtins
 from lss_motion.planning.program.line import LineUse  # noqa: TC001
 from lss_motion.planning.summaries import (
     advice_of,
+    joint_errors,
     late_marks,
     limit_uses,
     shortened_holds,
@@ -214,6 +215,10 @@ def show_as_json(show: Show) -> dict[str, Any]:
 def _joints(show: Show) -> dict[str, JointUse]:
     program, trajectory = show.program, show.trajectory
     values: dict[str, dict[str, float]] = {name: {} for name in program.start_deg}
+    errors, bounds = program.error_max_deg, program.bound_deg
+    if show.robot.servos:
+        errors, bounds = joint_errors(errors, show.robot), joint_errors(bounds, show.robot)
+        values = {name: {} for name in errors}
     for use in () if trajectory is None else limit_uses(trajectory, show.robot):
         values[use.joint.name] |= {
             "speed_deg_s": use.speed_deg_s,
@@ -223,8 +228,8 @@ def _joints(show: Show) -> dict[str, JointUse]:
             "accel_max_deg_s2": use.joint.accel_max_deg_s2,
             "accel_at_s": use.accel_at_s,
         }
-    for name, error_deg in program.error_max_deg.items():
-        values[name] |= {"error_max_deg": error_deg, "bound_deg": program.bound_deg[name]}
+    for name, error_deg in errors.items():
+        values[name] |= {"error_max_deg": error_deg, "bound_deg": bounds[name]}
     return {name: JointUse(**own) for name, own in values.items()}
 
 

@@ -21,7 +21,7 @@ from lss_motion.system.clock_leg import RATE_BAND
 from lss_motion.units import SPEED_RATIO_MAX
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.planning.program.model import Program
@@ -379,6 +379,7 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
                 f"(at least {least_hz:g})"
             )
     lines += [*drive_lines(program), *call_lines(program.cues), *sound_lines(program)]
+    servos = show.robot.servo_robot.joints
     bounds_deg = {n: e for n, e in program.bound_deg.items() if n not in _stepped(program)}
     if bounds_deg:
         name = max(bounds_deg, key=lambda joint: bounds_deg[joint])
@@ -387,12 +388,42 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
             f"predicted horns stay within {bounds_deg[name]:.2f} deg of the plan ({name}), by "
             f"their moves alone within {moves_deg:.2f} (tolerance {program.tolerance_deg:g} deg)"
         )
+    if show.robot.servos and bounds_deg:
+        lines += _mechanism_errors(program, show.robot)
     lines += [
         f"falls behind: joint {name!r} by up to {bound_deg:.1f} deg, which is a fault "
         f"(following_deg {most_deg:g}): at its limit without a break, a servo makes up for "
         f"nothing; let it keep time (keep: time), or give its keys more time"
         for name, bound_deg in bounds_deg.items()
-        if bound_deg > (most_deg := show.robot.joints[name].following_deg)
+        if bound_deg > (most_deg := servos[name].following_deg)
+    ]
+    return lines
+
+
+def joint_errors(servo_deg: Mapping[str, float], robot: Robot) -> dict[str, float]:
+    """Return how far joints may be off if each servo may be off by so much, anywhere."""
+    from lss_motion.robot.mechanisms import joint_shares
+
+    found = {name: off for name, off in servo_deg.items() if name in robot.joints}
+    for mechanism in robot.mechanisms.values():
+        if {*mechanism.servos} <= servo_deg.keys():
+            own = [servo_deg[servo] for servo in mechanism.servos]
+            joints = [robot.joints[name] for name in mechanism.joints]
+            for name, shares in zip(mechanism.joints, joint_shares(mechanism, joints), strict=True):
+                found[name] = sum(s * off for s, off in zip(shares, own, strict=True))
+    return {name: found[name] for name in robot.joints if name in found}
+
+
+def _mechanism_errors(program: Program, robot: Robot) -> list[str]:
+    """Return how far joints behind mechanisms may be off, and how far servos fight."""
+    behind = {name for mechanism in robot.mechanisms.values() for name in mechanism.joints}
+    bounds_deg = joint_errors(program.bound_deg, robot)
+    own = ", ".join(f"{name} {deg:.2f}" for name, deg in bounds_deg.items() if name in behind)
+    lines = [f"so joints behind mechanisms stay within (deg): {own}"] if own else []
+    lines += [
+        f"{name}: its servos are at most {deg:.2f} deg apart on the way, as they take up moves at "
+        f"different instants"
+        for name, deg in program.fight_deg.items()
     ]
     return lines
 

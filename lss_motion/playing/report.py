@@ -26,6 +26,7 @@ from msgspec import Struct, to_builtins
 from lss_motion.files.output import write_output
 from lss_motion.files.texts import counted
 from lss_motion.planning.trajectory.model import GivenUp, SlowSpan
+from lss_motion.planning.trajectory.servo_motion import servo_name
 from lss_motion.playing.player.events import Faulted, ShowOver, ShowSummary, Warned
 from lss_motion.playing.player.show_clock import Statistics
 from lss_motion.playing.sound_choice import SoundReport
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
+    from lss_motion.robot.model import Robot
 
     Item = TypeVar("Item")
     FloatArray = NDArray[np.float64]
@@ -149,6 +151,15 @@ class JointReport(Struct, frozen=True, kw_only=True):
     horn_error_max_deg: float | None = None
 
 
+class FightReport(Struct, frozen=True, kw_only=True):
+    """By how much servos of one joint were apart, in degrees of ideal servos."""
+
+    measured_max_deg: float
+    """By readings of different instants, between which the errors of servos change evenly."""
+    bound_deg: float
+    """The largest to expect on the way: `Program.fight_deg`."""
+
+
 class Report(Struct, frozen=True, kw_only=True):
     """The numbers of one run. `to_dict` gives them as the JSON object of `--report`."""
 
@@ -177,6 +188,11 @@ class Report(Struct, frozen=True, kw_only=True):
     warnings: tuple[str, ...]
     sound: SoundReport | None = None
     """None: the show has no sounds, or was played in virtual time."""
+    servos: Mapping[str, JointReport] = {}
+    """Of a robot with mechanisms, whose joints they move, in degrees of ideal servos; else not in
+    the JSON, as `fights`."""
+    fights: Mapping[str, FightReport] = {}
+    """By mechanism with more servos than joints."""
 
     def __repr__(self) -> str:
         """Return one line: names, outcome and counts."""
@@ -193,7 +209,10 @@ class Report(Struct, frozen=True, kw_only=True):
     def to_dict(self) -> dict[str, Any]:
         """Return the report as the object that `json.dumps` writes."""
         found: dict[str, Any] = to_builtins(self)
-        for joint in found["joints"].values():
+        for key in ("servos", "fights"):
+            if not found[key]:
+                del found[key]
+        for joint in (*found["joints"].values(), *found.get("servos", {}).values()):
             for key in ("horn_error_rms_deg", "horn_error_max_deg"):
                 if joint[key] is None:
                     del joint[key]
@@ -219,16 +238,32 @@ def make_report(
     warnings: Sequence[str] = (),
     sound: SoundReport | None = None,
     horn_error_deg: Mapping[str, tuple[float, float]] | None = None,
+    figure: Robot | None = None,
 ) -> Report:
     """Return the report of a run that took `run_s` in all, from the first query on.
 
     `horn_error_deg` holds, by joint, the RMS and the largest distance of the simulated horn from
-    the plan.
+    the plan. `figure` has the joints of the servos that were played.
     """
     program, show = player.program, player.show
     statistics = show.statistics if show is not None else Statistics()
     played = _Played.of(player)
     errors_deg = horn_error_deg or {}
+    joints = {
+        name: _joint(track, program, errors_deg.get(servo_name(name), errors_deg.get(name)), played)
+        for name, track in (show.joint_states if show is not None else {}).items()
+    }
+    servos, fights = {}, {}
+    if figure is not None and figure.servos:
+        from lss_motion.playing.report_joints import joint_reports
+
+        servos = joints
+        joints, apart = joint_reports(servos, figure, errors_deg)
+        fights = {
+            name: FightReport(measured_max_deg=deg, bound_deg=round(program.fight_deg[name], 3))
+            for name, deg in apart.items()
+            if name in program.fight_deg
+        }
     return Report(
         sequence=program.name,
         robot=program.robot,
@@ -242,16 +277,35 @@ def make_report(
             **statistics.timing(), late_histogram_us=tuple(statistics.histogram_us())
         ),
         buses={name: bus_report(player, name, run_s) for name in player.lines},
-        joints={
-            name: _joint(track, program, errors_deg.get(name), played)
-            for name, track in (show.joint_states if show is not None else {}).items()
-        },
+        joints=joints,
+        servos=servos,
+        fights=fights,
         timeline=() if played is None else tuple(played.timeline(program)),
         stretched=tuple(program.stretched),
         given_up=tuple(program.given_up),
         faults=tuple(player.faults),
-        warnings=(*warnings, *_findings(show.joint_states if show is not None else {}, warnings)),
+        warnings=(
+            *warnings,
+            *_findings(show.joint_states if show is not None else {}, warnings),
+            *(text for name, one in fights.items() if (text := _fight_text(name, one))),
+        ),
         sound=sound,
+    )
+
+
+FIGHT_MIN_DEG: Final = 1.0
+"""Servos that are less apart than this beyond what their moves explain are no finding. Chosen: the
+play and the readings of two servos."""
+
+
+def _fight_text(name: str, fight: FightReport) -> str:
+    """Return what is wrong with a mechanism whose servos fight; empty: nothing is."""
+    if fight.measured_max_deg <= fight.bound_deg + FIGHT_MIN_DEG:
+        return ""
+    return (
+        f"mechanism {name!r}: its servos were up to {fight.measured_max_deg:.1f} deg apart, of "
+        f"which their moves explain {fight.bound_deg:.1f}: they work against each other. Let the "
+        f"robot go limp, read both, and put the difference into zero_deg of one"
     )
 
 

@@ -152,6 +152,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
 
     Raises `InputError` or `BusError` only before the first byte: later they are in the result.
     """
+    figure, robot = robot, robot.servo_robot
     opening = None if isinstance(shows, Program) else _opening(shows, first)
     needs = shows if isinstance(shows, Program) else shows.needs(opening)
     check_needs(needs, may_run=may_run or is_virtual, has_feedback=has_feedback)
@@ -172,7 +173,8 @@ def perform(  # noqa: PLR0913  (the options of one run)
         is_open=is_open,
         is_forced=is_forced,
     )
-    kept, desk = _Kept(player, connection.simulated or None, trajectory, observer.on_event), None
+    simulated = connection.simulated or None
+    kept, desk = _Kept(player, figure, simulated, trajectory, observer.on_event), None
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
@@ -285,11 +287,16 @@ class _Kept:
     def __init__(
         self,
         player: Player,
+        figure: Robot,
         simulated: Mapping[str, SimBus] | None,
         trajectory: Trajectory | None,
         on_event: Callable[[Event], None] | None,
     ) -> None:
-        """Keep what comes of `player`; `simulated` are its buses, None on a real robot."""
+        """Keep what comes of `player`; `simulated` are its buses, None on a real robot.
+
+        `figure` has the joints of the servos that are played.
+        """
+        self._figure = figure
         self._on_event = on_event
         self._player = player
         self._simulated = simulated
@@ -301,7 +308,7 @@ class _Kept:
 
             self._ledger = Ledger()
         elif simulated is not None:
-            self._recorder = TruthRecorder(player.robot, simulated, trajectory)
+            self._recorder = TruthRecorder(figure, simulated, trajectory)
 
     @property
     def turns(self) -> list[Callable[[Player, int], None]]:
@@ -344,6 +351,7 @@ class _Kept:
                 outcome="lost" if is_lost and player.show else player.outcome or "stopped",
                 warnings=self._warnings,
                 horn_error_deg=None if self._recorder is None else self._recorder.errors_deg(),
+                figure=self._figure,
                 **common,
             )
         else:

@@ -40,7 +40,11 @@ instant, but none that is longer ago."""
 
 
 class Truth(Struct, frozen=True, kw_only=True):
-    """The angles of the simulated horns: joint degrees, (n, joints), at show times."""
+    """The angles of the simulated horns: joint degrees, (n, joints), at show times.
+
+    Of a robot with mechanisms also those of the servos behind them, as `servo:NAME`, in degrees of
+    ideal servos.
+    """
 
     times_s: NDArray[np.float64]
     joints: tuple[str, ...]
@@ -56,9 +60,14 @@ class TruthRecorder:
     def __init__(
         self, robot: Robot, buses: Mapping[str, SimBus], trajectory: Trajectory | None
     ) -> None:
-        self._robot = robot
+        self._figure, self._robot = robot, robot.servo_robot
         self._buses = buses
         self._trajectory = trajectory
+        if trajectory is not None and robot.servos:
+            from lss_motion.planning.trajectory.servo_motion import with_servos
+
+            self._trajectory = with_servos(trajectory, robot)
+        self._servos: tuple[str, ...] = ()
         self._joints: tuple[str, ...] = ()
         self._file: IO[bytes] | None = None
         self._rest: list[NDArray[np.float64]] | None = None
@@ -109,7 +118,9 @@ class TruthRecorder:
 
     def _sample(self, player: Player, until_ns: int) -> None:
         assert player.show is not None
-        self._joints = tuple(player.program.start_deg)
+        self._servos = tuple(player.program.start_deg)
+        if not self._figure.servos:
+            self._joints = self._servos
         knots = list(player.show.clock.knots(self._since_ns, until_ns, 10 * NS_PER_MS))
         self._since_ns = until_ns
         start = 0
@@ -142,16 +153,29 @@ class TruthRecorder:
     def _horn_deg(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         from lss_motion.sim.bus import servos_of
 
-        horn = np.empty((len(times_ns), len(self._joints)))
+        horn = np.empty((len(times_ns), len(self._servos)))
         for bus_name, bus in self._buses.items():
             on_bus = servos_of(self._robot, bus_name)
             servo_deg = bus.horn_deg(times_ns)
-            for column, name in enumerate(self._joints):
+            for column, name in enumerate(self._servos):
                 joint = self._robot.joints[name]
                 if joint.bus == bus_name:
                     angles = servo_deg[:, on_bus.index(name)]
                     horn[:, column] = joint.direction * (angles - joint.zero_deg)
-        return horn
+        return horn if not self._figure.servos else self._with_joints(horn)
+
+    def _with_joints(self, servo_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the joints of ideal servos, (n, servos), and after them those behind mechanisms.
+
+        The columns of the latter are called `servo:NAME`.
+        """
+        from lss_motion.planning.trajectory.servo_motion import joint_angles, servo_name
+
+        names, angles = joint_angles(self._servos, servo_deg, self._figure)
+        behind = {servo for m in self._figure.mechanisms.values() for servo in m.servos}
+        own = [column for column, name in enumerate(self._servos) if name in behind]
+        self._joints = (*names, *(servo_name(self._servos[column]) for column in own))
+        return np.column_stack([angles, servo_deg[:, own]])
 
     def _append(self, times_s: NDArray[np.float64], horn: NDArray[np.float64]) -> None:
         self._keep(np.column_stack([times_s, horn]))
@@ -195,7 +219,7 @@ class TruthRecorder:
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Write `t_s,<joint>…` at 100 Hz of show time, joint degrees."""
+    """Write `t_s,<joint>…,servo:<servo>…` at 100 Hz of show time, in degrees."""
     header = ",".join(["t_s", *truth.joints])
     table = np.column_stack([truth.times_s, truth.horn_deg])
     formats = ["%.2f"] + ["%.3f"] * len(truth.joints)

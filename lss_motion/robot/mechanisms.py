@@ -448,6 +448,20 @@ def scaled_joint(mechanism: Mechanism, joint: Joint, servos: Iterable[Joint]) ->
     return replace(joint, speed_max_deg_s=speed, accel_max_deg_s2=accel)
 
 
+def joint_shares(mechanism: Mechanism, joints: Sequence[Joint]) -> list[list[float]]:
+    """Return by how much each joint is off for each degree of each servo, at most, by joint."""
+    slopes = mechanism.transmission.slopes(places_of(joints))
+    found: list[list[float]] = np.abs(np.linalg.pinv(slopes)).max(axis=0).tolist()
+    return found
+
+
+def tolerance_ratio(mechanism: Mechanism, joints: Sequence[Joint]) -> float:
+    """Return how far servos may be off for each degree that the joints may, all at once."""
+    slopes = mechanism.transmission.slopes(places_of(joints))
+    shares = np.abs(np.linalg.pinv(slopes)).sum(axis=2)
+    return float(1.0 / shares.max())
+
+
 def tolerances_deg(mechanism: Mechanism, joints: Sequence[Joint]) -> list[tuple[float, float]]:
     """Return how far each servo may be off for each joint to stay in its path and goal tolerance.
 

@@ -180,6 +180,12 @@ class Joint(Located, frozen=True, kw_only=True):
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4
     """FPC of a streamed joint. Chosen: see `planning.program.streamed`."""
+    tolerance_ratio: float = 1.0
+    """A servo of a mechanism may be off its plan by so many times what its joints may: as far as
+    they stay within that everywhere in their ranges."""
+    is_shared: bool = False
+    """One of several servos of one joint: it gets no correction of its own, with which it would
+    work against the others."""
     filter_phase_ratio: float = 0.0
     """When in its period the filter of a streamed joint is assumed to step (`verify.driven`)."""
     lines: Mapping[str, int] = field(default_factory=dict)
@@ -334,6 +340,11 @@ class Robot(Struct, frozen=True, kw_only=True):
         return replace(
             self, joints=self.servos, servos={}, poses={}, visemes={}, groups={}, mirror={}
         )
+
+    def together(self, servo: str) -> tuple[str, ...]:
+        """Return the servos of the mechanism of a servo, which go limp together."""
+        own = (m.servos for m in self.mechanisms.values() if servo in m.servos)
+        return next(own, (servo,))
 
     def require_servos(self, what: str = "this command") -> None:
         """Raise `InputError` if joints are not servos, for `what`, which knows servos only."""

@@ -19,6 +19,7 @@ from lss_motion.robot.mechanisms import (
     needed_limits,
     reach_deg,
     scaled_joint,
+    tolerance_ratio,
     tolerances_deg,
 )
 from lss_motion.robot.model import NO_SERVO
@@ -236,7 +237,7 @@ class ServoLoader:
         """Build the servos of a mechanism with the limits that its joints leave them."""
         joints = [self.joints[name] for name in mechanism.joints]
         needed, reached = needed_limits(mechanism, joints), reach_deg(mechanism, joints)
-        offs = tolerances_deg(mechanism, joints)
+        offs, ratio = tolerances_deg(mechanism, joints), tolerance_ratio(mechanism, joints)
         servos: dict[str, Joint] = {}
         rows = zip(mechanism.servos, own, needed, reached, offs, strict=True)
         for name, (merged, servo_id, on_fault), (speed, accel), reach, (path, goal) in rows:
@@ -265,6 +266,8 @@ class ServoLoader:
                 return
             servos[name] = replace(
                 servo,
+                tolerance_ratio=ratio,
+                is_shared=mechanism.is_redundant,
                 following_deg=path,
                 goal_tolerance_deg=goal,
                 goal_time_s=joints[0].goal_time_s,

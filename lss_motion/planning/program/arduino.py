@@ -76,6 +76,7 @@ def sketch(program: Program, robot: Robot, settings: Iterable[Command], path: Pa
 
     `settings` are the session settings of the show, which the sketch sends first.
     """
+    robot = robot.servo_robot
     joints = [robot.joints[name] for name in program.start_deg]
     _check(program, joints, path)
     orders = _orders(program, robot)

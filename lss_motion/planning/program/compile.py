@@ -20,6 +20,7 @@ from lss_motion.errors import InputError, LineLoadError
 from lss_motion.files.texts import counted
 from lss_motion.planning.program.accuracy import horn_errors
 from lss_motion.planning.program.drives import choices
+from lss_motion.planning.program.mates import fights
 from lss_motion.planning.program.model import TOLERANCE_DEG, Program, Repeat, driving_of
 from lss_motion.planning.program.move_table import lines_use, moves_of
 from lss_motion.planning.program.reference_grid import GRID_S, GivenCommand, Reference
@@ -34,6 +35,7 @@ from lss_motion.planning.program.schedule import (
 from lss_motion.planning.program.verify import verify_program
 from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan, Trajectory
 from lss_motion.planning.trajectory.playlist import all_cues, all_marks, all_waits
+from lss_motion.planning.trajectory.servo_motion import servo_motion
 from lss_motion.robot.model import Robot
 from lss_motion.robot.profile import profile_lead_s
 from lss_motion.units import MS_PER_S, s_from_us, us_from_s
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.line import LineUse
     from lss_motion.planning.program.model import Move
     from lss_motion.robot.model import Joint
+    from lss_motion.show.model import Cue
 
 WRITTEN_PASSES: Final = 4
 """Passes of a long loop that are written; one of them is repeated. The first, two in the middle and
@@ -74,12 +77,15 @@ def compile_program(
     joints fewer readings than the bus requires, and `InputError` if a joint of the trajectory is
     not one of the robot's.
     """
-    robot.require_servos("compiling")
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
     trajectory, repeat = _written(trajectory)
     _check_length(trajectory)
+    joints, trajectory = trajectory, servo_motion(trajectory, robot)
+    led = _leds(robot)
+    robot = robot.servo_robot
     seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
+    finish = partial(_program, (trajectory, joints), led=led, repeat=repeat)
     problem: LineLoadError | None = None
     found = choices(robot, lambda driven: _references(trajectory, driven), tolerance_deg)
     for choice in found:
@@ -94,7 +100,7 @@ def compile_program(
             if schedule.is_tight:
                 problem = overload_error(schedule, choice.robot)
                 continue
-            program = _program(trajectory, choice, references, schedule, repeat)
+            program = finish(choice, references, schedule)
             unreadable = [use for use in program.line_use.values() if _lacks_readings(use, robot)]
             lacks_readings = bool(unreadable)
             if unreadable:
@@ -106,8 +112,8 @@ def compile_program(
                 problem = error
                 continue
             fit = partial(candidate.schedule, references, tolerance_deg, seams_s)
-            finish = partial(_program, trajectory, choice, references, repeat=repeat)
-            return _recovered(program, choice.robot, lambda ratios: finish(fit(ratios)))  # noqa: B023
+            again = partial(finish, choice, references)
+            return _recovered(program, choice.robot, lambda ratios: again(fit(ratios)))  # noqa: B023
     assert problem is not None
     raise problem
 
@@ -144,7 +150,10 @@ def _lost(program: Program, robot: Robot) -> dict[str, float]:
     ratios = {}
     for name, bound_deg in program.bound_deg.items():
         joint = robot.joints[name]
-        usual_deg = program.tolerance_deg + 0.5 * joint.response.loop_s * joint.speed_max_deg_s
+        usual_deg = (
+            joint.tolerance_ratio * program.tolerance_deg
+            + 0.5 * joint.response.loop_s * joint.speed_max_deg_s
+        )
         if joint.drive == "timed" and bound_deg > LOST_RATIO * usual_deg:
             ratios[name] = bound_deg / usual_deg
     return ratios
@@ -262,13 +271,33 @@ def glide_moves(
     raise AssertionError("the last schedule is used as it is")
 
 
+def _leds(robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Return the servos that light up for each joint of a robot with mechanisms."""
+    found: dict[str, tuple[str, ...]] = {name: (name,) for name in robot.joints if robot.servos}
+    for mechanism in robot.mechanisms.values() if robot.servos else ():
+        found |= dict.fromkeys(mechanism.joints, mechanism.servos)
+    return found
+
+
+def _lit(cue: Cue, led: Mapping[str, tuple[str, ...]]) -> Cue:
+    """Return a cue with the servos of its joints."""
+    if not led or not cue.led:
+        return cue
+    lights = [(servo, code) for joint, code in cue.led for servo in led[joint]]
+    return replace(cue, led=tuple(lights))
+
+
 def _program(
-    trajectory: Trajectory,
+    motions: tuple[Trajectory, Trajectory],
     choice: Choice,
     references: Mapping[str, Reference],
     schedule: Schedule,
+    *,
+    led: Mapping[str, tuple[str, ...]],
     repeat: Repeat | None,
 ) -> Program:
+    """Return the program of the motion of servos, and of the joints that it was made of."""
+    trajectory, joints = motions
     robot = choice.robot
     moves: Sequence[Move] = moves_of(schedule.fitted, robot)
     added_s = 0.0 if repeat is None else s_from_us(repeat.added_us)
@@ -291,15 +320,16 @@ def _program(
         drives=driving_of(robot, trajectory.joints),
         drive_reasons={n: why for n, why in choice.reasons.items() if n in trajectory.joints},
         repeat=repeat,
-        marks=tuple(mark for mark in all_marks(trajectory, end_s) if mark.planned_s <= end_s),
-        cues=tuple(cue for cue in all_cues(trajectory, end_s) if cue.at_s <= end_s),
-        waits=tuple(point for point in all_waits(trajectory, end_s) if point.at_s <= end_s),
+        marks=tuple(mark for mark in all_marks(joints, end_s) if mark.planned_s <= end_s),
+        cues=tuple(_lit(cue, led) for cue in all_cues(joints, end_s) if cue.at_s <= end_s),
+        waits=tuple(point for point in all_waits(joints, end_s) if point.at_s <= end_s),
         stretched=trajectory.stretched,
         given_up=trajectory.given_up,
         on_fault=trajectory.on_fault,
         line_use=lines_use(moves, robot),
         error_max_deg={name: error.moves_deg for name, error in errors.items()},
         bound_deg={name: error.bound_deg for name, error in errors.items()},
+        fight_deg=fights(schedule.fitted, references, robot),
     )
 
 

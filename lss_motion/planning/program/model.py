@@ -129,6 +129,9 @@ class Program(Struct, frozen=True, kw_only=True, dict=True):
     bound_deg: Mapping[str, float] = field(default_factory=dict)
     """The largest to expect of a servo that is as assumed: its control tick may come sooner or
     later, and its horn follow as a first-order lag does."""
+    fight_deg: Mapping[str, float] = field(default_factory=dict)
+    """The largest angle by which servos of one joint are apart, by mechanism, on servos that are as
+    assumed."""
 
     def __repr__(self) -> str:
         """Return one line: name, duration and counts."""

@@ -122,7 +122,9 @@ def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
         speed_max_deg_s=joint.speed_max_deg_s,
         ramp_deg_s2=joint.accel_max_deg_s2 if joint.drive == "streamed" else ramp_deg_s2(joint),
         wire_per_deg=joint.model.wire_per_deg,
-        tolerance_deg=min(tolerance_deg, TOLERANCE_MAX_DEG.get(joint.drive, math.inf)),
+        tolerance_deg=min(
+            joint.tolerance_ratio * tolerance_deg, TOLERANCE_MAX_DEG.get(joint.drive, math.inf)
+        ),
         response=joint.response,
         wire_step=joint.model.wire_step,
     )

@@ -19,6 +19,7 @@ from lss_motion.errors import LineLoadError
 from lss_motion.planning.program.drives import late_max_s, make_fitter
 from lss_motion.planning.program.fit import RIVALRY_S, TURN_S, TimedFit
 from lss_motion.planning.program.line import LineSchedule, longest_move, sent_us
+from lss_motion.planning.program.mates import lead_s, mated, mates_of
 from lss_motion.planning.program.model import Move
 from lss_motion.planning.program.moves import FittedJoint, fitted_profiles
 from lss_motion.planning.program.reference_grid import servo_limits
@@ -100,25 +101,35 @@ class Schedule:
         self._lines = {bus: (lines or {}).get(bus, LineSchedule()) for bus in robot.buses}
         self._initial, self._turn_s, self._gives_up = initial or {}, turn_s, gives_up
         self._ratios = ratios or {}
+        mates = {} if self._initial else mates_of(references, robot)
+        led = {mate for own in mates.values() for mate in own}
+        fitted = {name: one for name, one in references.items() if name not in led}
         self._slots = {
             name: _Slot(
                 robot.joints[name].bus,
-                slot_us(robot.joints[name], robot),
+                sum(slot_us(robot.joints[one], robot) for one in (name, *mates.get(name, ()))),
                 us_from_s(late_max_s(robot.joints[name])),
             )
-            for name in references
+            for name in fitted
         }
         for drive in ("streamed", "stepped"):
             self._fit_each(
                 {
                     name: make_fitter(robot.joints[name], reference, tolerance_deg, seams_s)
-                    for name, reference in references.items()
+                    for name, reference in fitted.items()
                     if robot.joints[name].drive == drive
                 }
             )
-        timed = [robot.joints[name] for name in references if robot.joints[name].drive == "timed"]
+        timed = [robot.joints[name] for name in fitted if robot.joints[name].drive == "timed"]
         if timed:
             self._fit_timed(timed, references, tolerance_deg, seams_s)
+        for leader, names in mates.items():
+            own = robot.joints[leader]
+            step_s = lead_s(own, self.fitted[leader], robot)
+            for count, name in enumerate(names, start=1):
+                self.fitted[name] = mated(
+                    own, self.fitted[leader], robot.joints[name], references[name], count * step_s
+                )
 
     def _fit_each(self, fitters: Mapping[str, JointFitter]) -> None:
         """Grant the commands of the fitters one by one, in the order of the instants requested."""

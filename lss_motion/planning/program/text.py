@@ -223,7 +223,7 @@ def from_text(text: str, robot: Robot, *, path: Path | None = None) -> Program:
     addressed to a servo that the robot does not have.
     """
     _check_first_line(text, path)
-    reader = _ProgramReader(robot, path)
+    reader = _ProgramReader(robot.servo_robot, path)
     for number, line in enumerate(text.splitlines()[1:], start=2):
         reader.read(number, line)
     return reader.program()

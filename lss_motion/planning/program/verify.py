@@ -105,7 +105,7 @@ def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) 
 
 def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
     """Return each servo's profile over show time, if servos receive every move when it is due."""
-    robot = driven(robot, program)
+    robot = driven(robot.servo_robot, program)
     columns = columns_of(program.moves, robot)
     columns = columns.take(np.argsort(columns.joint, kind="stable"))
     received_s = columns.received_us / US_PER_S
@@ -162,6 +162,7 @@ def verify_program(program: Program, robot: Robot) -> None:
     evenly enough, `LineLoadError` is raised. A stepped joint jumps: each jump is checked against
     the speed limit and the time since the jump before.
     """
+    robot = robot.servo_robot
     if program.repeat is not None and program.repeat.times is not None:
         program = program.repeated(2)  # Every kind of seam, in a time that does not depend on it.
     verify_profiles(profiles(program, robot), driven(robot, program))

@@ -24,8 +24,8 @@ from lss_motion.planning.trajectory.model import (
     Trajectory,
     steady_clock,
 )
-from lss_motion.planning.trajectory.retime import REST_RATIO, laid_out, timed, with_reserve
-from lss_motion.planning.trajectory.solver import RATE_SLACK, RateTask
+from lss_motion.planning.trajectory.retime import REST_RATIO, laid_out, rate_task, timed, with_reserve
+from lss_motion.planning.trajectory.solver import RATE_SLACK
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.show.keyframes import at_speed
 
@@ -69,13 +69,7 @@ def planned_window(
     clock = steady_clock(path.length_s)
     stretched: tuple[SlowSpan, ...] = ()
     if dues is not None:
-        limits = [robot.joints[joint] for joint in order]
-        task = RateTask(
-            path=path,
-            speed_max_deg_s=np.array([joint.speed_max_deg_s for joint in limits]),
-            accel_max_deg_s2=np.array([joint.accel_max_deg_s2 for joint in limits]),
-            knot_caps={},
-        )
+        task = rate_task(path, order, robot, knot_caps={})
         task, (windows, along) = with_reserve(
             task, partial(timed, dues, ()), is_met=partial(explain.is_met, dues)
         )

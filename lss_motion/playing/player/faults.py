@@ -346,9 +346,12 @@ class FaultHandler:
     def _take(self, fault: Faulted, now_ns: int) -> None:
         """Report a step, and carry out what concerns its joint alone."""
         self._events.append(fault)
-        joint = self._session.robot.joints[fault.joint]
+        robot = self._session.robot
+        joint, together = robot.joints[fault.joint], robot.together(fault.joint)
         if fault.step is FaultStep.LIMP:
-            self._session.make_limp(joint, now_ns)
+            for name in together:
+                self._session.make_limp(robot.joints[name], now_ns)
+                self._session.leave_out(name)
         elif fault.kind is Cause.LOST_TURN:
             self._session.halt(joint, now_ns)
         is_absent = fault.kind in ABSENT and fault.step is not FaultStep.RESUME

@@ -551,7 +551,8 @@ class JointState:
             course = plain_deg, lagged_deg, speed_deg_s, recent_deg_s
             horn.take(measured_deg, course, self.swing.way, elapsed_s)
         self.disturbance.note_estimate(lagged_deg, self.swing.way)
-        if self.setpoints is None or abs(plain_deg_s) < REST_DEG_S:
+        may_lead = self.setpoints is None or abs(plain_deg_s) < REST_DEG_S
+        if may_lead and not self.joint.is_shared:
             self.early_s = horn.early_s
         if self._is_settled(read_s) and before_deg is not None:
             horn.note_scatter(measured_deg - before_deg, elapsed_s)
@@ -583,6 +584,8 @@ class JointState:
 
     def _correct(self, target_deg: float, way: float, duration_s: float) -> None:
         """Move the correction towards what is known of load and play, as far as that is sure."""
+        if self.joint.is_shared:
+            return
         share = self.swing.share(self.disturbance.horn.half_play_deg)
         self.disturbance.aim(target_deg, way, OFFSET_RATE_DEG_S * duration_s, share)
 
@@ -597,7 +600,7 @@ class JointState:
 
     def standing_offset_deg(self, now_ns: int) -> float | None:
         """Return the correction that a joint at rest needs in place of its own; None: none."""
-        if not self._is_settled(s_from_ns(now_ns)):
+        if self.joint.is_shared or not self._is_settled(s_from_ns(now_ns)):
             return None
         horn, offset_deg = self.disturbance.horn, self.disturbance.offset_deg
         noise_deg, is_modelled = math.sqrt(horn.noise_deg2), horn.model_ratio > 0.5

@@ -1,0 +1,137 @@
+"""The report of servos behind mechanisms, as that of their joints.
+
+Readings of servos become joints by least squares where there are more servos than joints; what is
+left is the angle by which servos fight each other. Servos are read one after the other, so between
+its readings the error of a servo is taken to change evenly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import Struct
+
+from lss_motion.planning.summaries import joint_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.playing.report import JointReport
+    from lss_motion.robot.mechanism import Mechanism
+    from lss_motion.robot.model import Robot
+
+    FloatArray = NDArray[np.float64]
+
+
+class Measured(Struct, frozen=True):
+    """What the readings of the servos of a mechanism say about its joints, at the same instants."""
+
+    at_s: FloatArray
+    planned_deg: FloatArray
+    measured_deg: FloatArray
+    fight_deg: float | None
+    """The largest one; None where there are as many joints as servos, or nothing was read."""
+
+
+def measured(mechanism: Mechanism, servos: Sequence[JointReport]) -> Measured | None:
+    """Return the joints by the readings of all their servos; None: one was not read."""
+    traces = [servo.trace for servo in servos]
+    if any(len(trace.at_s) < 2 for trace in traces):
+        return None
+    first = max(trace.at_s[0] for trace in traces)
+    last = min(trace.at_s[-1] for trace in traces)
+    at_s = np.unique(np.concatenate([trace.at_s for trace in traces]))
+    at_s = at_s[(at_s >= first) & (at_s <= last)]
+    if not len(at_s):
+        return None
+
+    def evenly(values: Sequence[FloatArray]) -> FloatArray:
+        pairs = zip(traces, values, strict=True)
+        return np.column_stack([np.interp(at_s, trace.at_s, one) for trace, one in pairs])
+
+    off = evenly([np.subtract(trace.measured_deg, trace.planned_deg) for trace in traces])
+    planned = evenly([np.asarray(trace.planned_deg) for trace in traces])
+    g = mechanism.transmission
+    fight = None
+    if mechanism.is_redundant:
+        fight = float(mechanism.fight_deg(planned + off).max())
+    return Measured(at_s, g.joint_deg(planned), g.joint_deg(planned + off), fight)
+
+
+def joint_reports(
+    servos: Mapping[str, JointReport],
+    robot: Robot,
+    horn_error_deg: Mapping[str, tuple[float, float]],
+) -> tuple[dict[str, JointReport], dict[str, float]]:
+    """Return the reports of joints by those of their servos, and the fight of each mechanism."""
+    found: dict[str, JointReport] = {}
+    fights: dict[str, float] = {}
+    by_joint = {name: m for m in robot.mechanisms.values() for name in m.joints}
+    for name in robot.joints:
+        mechanism = by_joint.get(name)
+        if mechanism is None:
+            if name in servos:
+                found[name] = servos[name]
+        elif name not in found and {*mechanism.servos} <= servos.keys():
+            own = [servos[servo] for servo in mechanism.servos]
+            seen = measured(mechanism, own)
+            if seen is not None and seen.fight_deg is not None:
+                fights[mechanism.name] = round(seen.fight_deg, 3)
+            for column, joint in enumerate(mechanism.joints):
+                found[joint] = _joint(joint, column, mechanism, servos, robot, seen, horn_error_deg)
+    return found, fights
+
+
+def _joint(
+    name: str,
+    column: int,
+    mechanism: Mechanism,
+    servos: Mapping[str, JointReport],
+    robot: Robot,
+    seen: Measured | None,
+    horn_error_deg: Mapping[str, tuple[float, float]],
+) -> JointReport:
+    from lss_motion.playing.report import JointReport, TraceReport
+
+    own = [servos[servo] for servo in mechanism.servos]
+
+    def carried(key: str) -> float | None:
+        values = {servo: getattr(servos[servo], key) for servo in mechanism.servos}
+        if any(value is None for value in values.values()):
+            return None
+        return round(joint_errors(values, robot)[name], 3)
+
+    def known(key: str) -> list[float]:
+        return [getattr(one, key) for one in own if getattr(one, key) is not None]
+
+    trace, rms, worst = TraceReport(at_s=(), planned_deg=(), measured_deg=()), 0.0, 0.0
+    if seen is not None:
+        planned, found = seen.planned_deg[:, column], seen.measured_deg[:, column]
+        off = found - planned
+        rms, worst = math.sqrt(float((off**2).mean())), float(np.abs(off).max())
+        trace = TraceReport(
+            at_s=tuple(np.round(seen.at_s, 3).tolist()),
+            planned_deg=tuple(np.round(planned, 3).tolist()),
+            measured_deg=tuple(np.round(found, 3).tolist()),
+        )
+    true_rms, true_max = horn_error_deg.get(name, (None, None))
+    return JointReport(
+        readings=min(one.readings for one in own),
+        error_rms_deg=round(rms, 3),
+        error_max_deg=round(worst, 3),
+        offset_max_deg=carried("offset_max_deg") or 0.0,
+        predicted_error_max_deg=carried("predicted_error_max_deg"),
+        predicted_bound_deg=carried("predicted_bound_deg"),
+        lag_extra_s=max((one.lag_extra_s for one in own), key=abs),
+        resent=sum(one.resent for one in own),
+        temperature_max_c=max(known("temperature_max_c"), default=None),
+        voltage_min_v=min(known("voltage_min_v"), default=None),
+        current_max_a=max(known("current_max_a"), default=None),
+        trace=trace,
+        horn_error_rms_deg=None if true_rms is None else round(true_rms, 3),
+        horn_error_max_deg=None if true_max is None else round(true_max, 3),
+    )

@@ -1,0 +1,151 @@
+"""Shows on robots with mechanisms, played to the horns of the simulator."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from lss_motion.planning import shows
+from lss_motion.playing.run import perform
+from lss_motion.robot.load import load_robot
+from lss_motion.robot.on_fault import Cause, FaultStep
+from tests.unit.robot.test_mechanisms import HEAD, eyes_csv
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lss_motion.planning.shows import Show
+    from lss_motion.playing.run import Result
+
+JOINTS = ["turret", "jaw", "lid", "tilt", "roll", "arm", "yaw", "pitch"]
+FRAMES = [
+    {"at_s": 0, "deg": dict.fromkeys(JOINTS, 0)},
+    {"at_s": 0.8, "deg": dict(zip(JOINTS, (30, 22, 50, 20, 10, 60, 25, -15), strict=True))},
+    {"at_s": 1.9, "deg": dict(zip(JOINTS, (-30, 4, 10, -15, -5, -20, -20, 15), strict=True))},
+    {"at_s": 3.0, "deg": dict.fromkeys(JOINTS, 0)},
+]
+
+
+def prepared(folder: Path, **more: Any) -> Show:
+    (folder / "eyes.csv").write_text(eyes_csv(), encoding="utf-8")
+    (folder / "head.yaml").write_text(HEAD, encoding="utf-8")
+    show = {"sequence": "s", "robot": "head.yaml", "keyframes": FRAMES, **more}
+    (folder / "show.yaml").write_text(json.dumps(show), encoding="utf-8")
+    return shows.prepare(folder / "show.yaml", None)
+
+
+def played(show: Show, **options: Any) -> Result[Any]:
+    options = {"is_virtual": True, "seed": 5, "trajectory": show.trajectory, **options}
+    return perform(show.program, show.robot, **options)
+
+
+@pytest.fixture(scope="module")
+def show(tmp_path_factory: pytest.TempPathFactory) -> Show:
+    return prepared(tmp_path_factory.mktemp("head"))
+
+
+def test_horns_and_joints_follow_the_plan(show: Show) -> None:
+    result = played(show)
+    assert result.error is None
+    assert result.report.outcome == "finished"
+    truth = result.truth
+    assert truth is not None
+    assert truth.joints[: len(JOINTS)] == tuple(JOINTS)
+    assert "servo:neck.left" in truth.joints
+    assert show.trajectory is not None
+    planned = show.trajectory.sample(truth.times_s)
+    off = truth.horn_deg[:, : len(JOINTS)] - planned
+    rms = np.sqrt((off**2).mean(axis=0))
+    # The tolerance of the moves is 0.2 deg of the joint; the control tick adds to it.
+    assert rms.max() < 0.3, dict(zip(JOINTS, rms, strict=True))
+
+
+def test_servos_of_one_joint_get_their_moves_together_and_hardly_fight(show: Show) -> None:
+    front = [m for m in show.program.moves if m.servo_id == 7]
+    back = [m for m in show.program.moves if m.servo_id == 8]
+    assert len(front) == len(back) > 5
+    for one, other in zip(front, back, strict=True):
+        assert 0 < one.due_us - other.due_us < 2000
+        assert one.duration_ms is not None
+        assert other.duration_ms is not None
+        ends_us = [m.due_us + 1000 * (m.duration_ms or 0) for m in (one, other)]
+        assert abs(ends_us[0] - ends_us[1]) < 1500
+        # The zero of the other is 0.4 deg, and it turns the other way.
+        assert other.target_wire == 4 - one.target_wire
+    bound = show.program.fight_deg["shoulder"]
+    result = played(show)
+    assert result.truth is not None
+    names = list(result.truth.joints)
+    both = [names.index(f"servo:shoulder.{name}") for name in ("front", "back")]
+    apart = np.abs(np.diff(result.truth.horn_deg[:, both], axis=1)).max()
+    assert apart <= bound + 0.1
+
+
+def test_a_pair_under_different_loads_is_not_corrected_apart(show: Show) -> None:
+    """One servo droops: corrections of its own would lift it against the other."""
+    from lss_motion.sim.deviation import deviation_from_text
+
+    result = played(show, deviation=deviation_from_text("droop=2deg"))
+    assert result.report.outcome == "finished"
+    servos = result.report.servos
+    assert servos["shoulder.front"].offset_max_deg == 0.0
+    assert servos["shoulder.back"].offset_max_deg == 0.0
+    assert servos["neck.left"].offset_max_deg > 0.0
+
+
+def lines_of(result: Result[Any]) -> list[bytes]:
+    return [line.rstrip(b"\r") for _, line in result.simulated["main"].lines]
+
+
+def test_a_silent_servo_of_a_mechanism_holds_all_of_it(show: Show) -> None:
+    """Also where the show says to go on: one servo of a mechanism cannot go on alone."""
+    from lss_motion.sim.faults import Fault, FaultKind
+
+    lax = replace(show.program, on_fault={Cause.SILENT: (FaultStep.WARN,)})
+    fault = Fault(kind=FaultKind.LOST_REPLY, at_s=4.0, servo_id=5)
+    result = played(replace(show, program=lax), faults=(fault,))
+    assert result.report.outcome == "fault"
+    assert {one.joint for one in result.report.faults} == {"neck.left"}
+
+
+def test_servos_of_a_mechanism_go_limp_together(tmp_path: Path) -> None:
+    from lss_motion.sim.faults import Fault, FaultKind
+
+    pair = "shoulder: {kind: pair, on_fault: {silent: limp},"
+    show = prepared(tmp_path)
+    text = (tmp_path / "head.yaml").read_text(encoding="utf-8")
+    (tmp_path / "head.yaml").write_text(text.replace("shoulder: {kind: pair,", pair), "utf-8")
+    robot = load_robot(tmp_path / "head.yaml")
+    fault = Fault(kind=FaultKind.LOST_REPLY, at_s=4.0, servo_id=8)
+    result = played(replace(show, robot=robot), faults=(fault,))
+    assert result.report.outcome == "fault"
+    lines = lines_of(result)
+    first = min(lines.index(b"#7L"), lines.index(b"#8L"))
+    assert {*lines[first : first + 2]} == {b"#7L", b"#8L"}
+    moved = [line for line in lines[first:] if line.startswith((b"#7D", b"#8D"))]
+    assert not moved
+
+
+def test_a_program_file_is_that_of_the_servos(show: Show, tmp_path: Path) -> None:
+    path = tmp_path / "show.lss"
+    text = show.program.to_text()
+    path.write_text(text, encoding="utf-8")
+    read = shows.prepare(path, None)
+    assert read.program.to_text() == text
+    result = perform(read.program, read.robot, is_virtual=True, seed=5)
+    assert result.report.outcome == "finished"
+
+
+def test_without_feedback_too(show: Show) -> None:
+    result = played(show, has_feedback=False)
+    assert result.report.outcome == "finished"
+
+
+def test_an_endless_show(tmp_path: Path) -> None:
+    show = prepared(tmp_path, loop="forever")
+    assert show.program.repeat is not None
+    shows.recheck(show)
