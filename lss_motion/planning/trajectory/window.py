@@ -24,7 +24,13 @@ from lss_motion.planning.trajectory.model import (
     Trajectory,
     steady_clock,
 )
-from lss_motion.planning.trajectory.retime import REST_RATIO, laid_out, rate_task, timed, with_reserve
+from lss_motion.planning.trajectory.retime import (
+    REST_RATIO,
+    laid_out,
+    rate_task,
+    timed,
+    with_reserve,
+)
 from lss_motion.planning.trajectory.solver import RATE_SLACK
 from lss_motion.planning.trajectory.verify import verify
 from lss_motion.show.keyframes import at_speed
