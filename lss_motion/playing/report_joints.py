@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 
-class Measured(Struct, frozen=True):
+class JointsSeen(Struct, frozen=True):
     """What the readings of the servos of a mechanism say about its joints, at the same instants."""
 
     at_s: FloatArray
@@ -37,7 +37,7 @@ class Measured(Struct, frozen=True):
     """The largest one; None where there are as many joints as servos, or nothing was read."""
 
 
-def measured(mechanism: Mechanism, servos: Sequence[JointReport]) -> Measured | None:
+def measured(mechanism: Mechanism, servos: Sequence[JointReport]) -> JointsSeen | None:
     """Return the joints by the readings of all their servos; None: one was not read."""
     traces = [servo.trace for servo in servos]
     if any(len(trace.at_s) < 2 for trace in traces):
@@ -59,7 +59,7 @@ def measured(mechanism: Mechanism, servos: Sequence[JointReport]) -> Measured | 
     fight = None
     if mechanism.is_redundant:
         fight = float(mechanism.fight_deg(planned + off).max())
-    return Measured(at_s, g.joint_deg(planned), g.joint_deg(planned + off), fight)
+    return JointsSeen(at_s, g.joint_deg(planned), g.joint_deg(planned + off), fight)
 
 
 def joint_reports(
@@ -92,7 +92,7 @@ def _joint(
     mechanism: Mechanism,
     servos: Mapping[str, JointReport],
     robot: Robot,
-    seen: Measured | None,
+    seen: JointsSeen | None,
     horn_error_deg: Mapping[str, tuple[float, float]],
 ) -> JointReport:
     from lss_motion.playing.report import JointReport, TraceReport

@@ -173,8 +173,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
         is_open=is_open,
         is_forced=is_forced,
     )
-    simulated = connection.simulated or None
-    kept, desk = _Kept(player, figure, simulated, trajectory, observer.on_event), None
+    kept, desk = _Kept(player, figure, connection, trajectory, observer.on_event), None
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
@@ -182,10 +181,9 @@ def perform(  # noqa: PLR0913  (the options of one run)
                 player, kept.note, sound or SoundChoice(), modules, is_virtual=is_virtual
             ) as begun,
         ):
-            on_event, desk = begun
+            (on_event, desk), turns = begun, kept.turns
             for text in refused:
                 on_event(Warned(text))
-            turns = kept.turns
             drive(player, connection, observer, on_event, desk, turns=turns, started_ns=started_ns)
     except BusError as lost:
         error = lost
@@ -288,18 +286,18 @@ class _Kept:
         self,
         player: Player,
         figure: Robot,
-        simulated: Mapping[str, SimBus] | None,
+        connection: Connection,
         trajectory: Trajectory | None,
         on_event: Callable[[Event], None] | None,
     ) -> None:
-        """Keep what comes of `player`; `simulated` are its buses, None on a real robot.
+        """Keep what comes of `player` over its ports.
 
         `figure` has the joints of the servos that are played.
         """
         self._figure = figure
         self._on_event = on_event
         self._player = player
-        self._simulated = simulated
+        self._simulated = simulated = connection.simulated or None
         self._warnings: list[str] = []
         self._ledger: Ledger | None = None
         self._recorder: TruthRecorder | None = None
