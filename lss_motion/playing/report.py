@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from lss_motion.playing.player.events import Event
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
-    from lss_motion.robot.model import Robot
 
     Item = TypeVar("Item")
     FloatArray = NDArray[np.float64]
@@ -238,12 +237,11 @@ def make_report(
     warnings: Sequence[str] = (),
     sound: SoundReport | None = None,
     horn_error_deg: Mapping[str, tuple[float, float]] | None = None,
-    figure: Robot | None = None,
 ) -> Report:
     """Return the report of a run that took `run_s` in all, from the first query on.
 
     `horn_error_deg` holds, by joint, the RMS and the largest distance of the simulated horn from
-    the plan. `figure` has the joints of the servos that were played.
+    the plan; of a servo behind a mechanism as `servo_name`.
     """
     program, show = player.program, player.show
     statistics = show.statistics if show is not None else Statistics()
@@ -253,17 +251,6 @@ def make_report(
         name: _joint(track, program, errors_deg.get(servo_name(name), errors_deg.get(name)), played)
         for name, track in (show.joint_states if show is not None else {}).items()
     }
-    servos, fights = {}, {}
-    if figure is not None and figure.servos:
-        from lss_motion.playing.report_joints import joint_reports
-
-        servos = joints
-        joints, apart = joint_reports(servos, figure, errors_deg)
-        fights = {
-            name: FightReport(measured_max_deg=deg, bound_deg=round(program.fight_deg[name], 3))
-            for name, deg in apart.items()
-            if name in program.fight_deg
-        }
     return Report(
         sequence=program.name,
         robot=program.robot,
@@ -278,8 +265,6 @@ def make_report(
         ),
         buses={name: bus_report(player, name, run_s) for name in player.lines},
         joints=joints,
-        servos=servos,
-        fights=fights,
         timeline=() if played is None else tuple(played.timeline(program)),
         stretched=tuple(program.stretched),
         given_up=tuple(program.given_up),
@@ -287,25 +272,8 @@ def make_report(
         warnings=(
             *warnings,
             *_findings(show.joint_states if show is not None else {}, warnings),
-            *(text for name, one in fights.items() if (text := _fight_text(name, one))),
         ),
         sound=sound,
-    )
-
-
-FIGHT_MIN_DEG: Final = 1.0
-"""Servos that are less apart than this beyond what their moves explain are no finding. Chosen: the
-play and the readings of two servos."""
-
-
-def _fight_text(name: str, fight: FightReport) -> str:
-    """Return what is wrong with a mechanism whose servos fight; empty: nothing is."""
-    if fight.measured_max_deg <= fight.bound_deg + FIGHT_MIN_DEG:
-        return ""
-    return (
-        f"mechanism {name!r}: its servos were up to {fight.measured_max_deg:.1f} deg apart, of "
-        f"which their moves explain {fight.bound_deg:.1f}: they work against each other. Let the "
-        f"robot go limp, read both, and put the difference into zero_deg of one"
     )
 
 

@@ -8,19 +8,22 @@ its readings the error of a servo is taken to change evenly.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.planning.summaries import joint_errors
+from lss_motion.playing.report import FightReport, JointReport, TraceReport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from lss_motion.playing.report import JointReport
+    from lss_motion.planning.program.model import Program
+    from lss_motion.playing.report import Report
     from lss_motion.robot.mechanism import Mechanism
     from lss_motion.robot.model import Robot
 
@@ -62,6 +65,47 @@ def measured(mechanism: Mechanism, servos: Sequence[JointReport]) -> JointsSeen 
     return JointsSeen(at_s, g.joint_deg(planned), g.joint_deg(planned + off), fight)
 
 
+def with_joints(
+    report: Report,
+    robot: Robot,
+    program: Program,
+    horn_error_deg: Mapping[str, tuple[float, float]] | None,
+) -> Report:
+    """Return the report of servos as that of the joints of `robot`, with the servos below."""
+    if not robot.servos:
+        return report
+    joints, apart = joint_reports(report.joints, robot, horn_error_deg or {})
+    fights = {
+        name: FightReport(measured_max_deg=deg, bound_deg=round(program.fight_deg[name], 3))
+        for name, deg in apart.items()
+        if name in program.fight_deg
+    }
+    texts = [text for name, one in fights.items() if (text := _fight_text(name, one))]
+    return replace(
+        report,
+        joints=joints,
+        servos=report.joints,
+        fights=fights,
+        warnings=(*report.warnings, *texts),
+    )
+
+
+FIGHT_MIN_DEG: Final = 1.0
+"""Servos that are less apart than this beyond what their moves explain are no finding. Chosen: the
+play and the readings of two servos."""
+
+
+def _fight_text(name: str, fight: FightReport) -> str:
+    """Return what is wrong with a mechanism whose servos fight; empty: nothing is."""
+    if fight.measured_max_deg <= fight.bound_deg + FIGHT_MIN_DEG:
+        return ""
+    return (
+        f"mechanism {name!r}: its servos were up to {fight.measured_max_deg:.1f} deg apart, of "
+        f"which their moves explain {fight.bound_deg:.1f}: they work against each other. Let the "
+        f"robot go limp, read both, and put the difference into zero_deg of one"
+    )
+
+
 def joint_reports(
     servos: Mapping[str, JointReport],
     robot: Robot,
@@ -95,8 +139,6 @@ def _joint(
     seen: JointsSeen | None,
     horn_error_deg: Mapping[str, tuple[float, float]],
 ) -> JointReport:
-    from lss_motion.playing.report import JointReport, TraceReport
-
     own = [servos[servo] for servo in mechanism.servos]
 
     def carried(key: str) -> float | None:

@@ -344,14 +344,18 @@ class _Kept:
         if ledger is None:
             from lss_motion.playing.report import make_report  # When nothing moves any more.
 
+            errors_deg = None if self._recorder is None else self._recorder.errors_deg()
             report = make_report(
                 player,
                 outcome="lost" if is_lost and player.show else player.outcome or "stopped",
                 warnings=self._warnings,
-                horn_error_deg=None if self._recorder is None else self._recorder.errors_deg(),
-                figure=self._figure,
+                horn_error_deg=errors_deg,
                 **common,
             )
+            if self._figure.servos:
+                from lss_motion.playing.report_joints import with_joints
+
+                report = with_joints(report, self._figure, player.program, errors_deg)
         else:
             while (event := player.next_event()) is not None:
                 self.note(event)
