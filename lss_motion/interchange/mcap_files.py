@@ -140,10 +140,9 @@ def _joint_state(path: Path, content: bytes) -> tuple[float, dict[str, float]]:
     """Return the stamp of a message and the positions by joint, or raise `InputError`."""
     try:
         cdr = _Cdr(content)
-        seconds, rest_ns = cdr.number("i"), cdr.number("I")
+        stamp_s = cdr.stamp_s()
         cdr.text()
-        names = [cdr.text() for _ in range(cdr.count(NAMES_MAX))]
-        positions = [cdr.number("d") for _ in range(cdr.count(NAMES_MAX))]
+        names, positions = cdr.texts(), cdr.positions()
     except (struct.error, UnicodeError, ValueError) as error:
         raise InputError(f"a joint state cannot be read: {error}", path=path) from error
     if positions and (len(positions) != len(names) or len(set(names)) < len(names)):
@@ -151,7 +150,7 @@ def _joint_state(path: Path, content: bytes) -> tuple[float, dict[str, float]]:
         raise InputError(reason, path=path)
     if not all(abs(position) <= NUMBER_MAX for position in positions):
         raise InputError("a joint state has a position that is out of range", path=path)
-    return seconds + rest_ns / NS_PER_S, dict(zip(names, positions, strict=False))
+    return stamp_s, dict(zip(names, positions, strict=False))
 
 
 class _Cdr:
@@ -164,25 +163,43 @@ class _Cdr:
         self._body = content[4:]
         self._at = 0
 
-    def number(self, kind: str) -> float:
-        form = struct.Struct(self._order + kind)
-        self._at += -self._at % form.size
-        (value,) = form.unpack_from(self._body, self._at)
-        self._at += form.size
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"{value} is no position")
-        return value  # type: ignore[no-any-return]
+    def stamp_s(self) -> float:
+        """Return a time of seconds and nanoseconds."""
+        (seconds,), (rest_ns,) = self._values("i", 1), self._values("I", 1)
+        return float(seconds + rest_ns / NS_PER_S)
 
-    def count(self, maximum: int) -> int:
-        count = int(self.number("I"))
-        if count > maximum:
-            raise ValueError(f"{count} values are more than {maximum}")
-        return count
+    def texts(self) -> list[str]:
+        """Return a list of texts."""
+        return [self.text() for _ in range(self._count(NAMES_MAX))]
+
+    def positions(self) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        found = self._values("d", self._count(NAMES_MAX))
+        for value in found:
+            if not math.isfinite(value):
+                raise ValueError(f"{value} is no position")
+        return found
 
     def text(self) -> str:
-        size = self.count(len(self._body))
+        """Return one text."""
+        size = self._count(len(self._body))
         data = self._body[self._at : self._at + size]
         if len(data) < size:
             raise ValueError("it was cut off")
         self._at += size
         return data.rstrip(b"\0").decode()
+
+    def _count(self, maximum: int) -> int:
+        (count,) = self._values("I", 1)
+        if count > maximum:
+            raise ValueError(f"{count} values are more than {maximum}")
+        return int(count)
+
+    def _values(self, kind: str, count: int) -> tuple[Any, ...]:
+        if not count:
+            return ()
+        self._at += -self._at % struct.calcsize(kind)
+        form = f"{self._order}{count}{kind}"
+        values = struct.unpack_from(form, self._body, self._at)
+        self._at += struct.calcsize(form)
+        return values
