@@ -189,6 +189,30 @@ def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned
     ]  # fmt: skip
 
 
+def test_a_time_of_day_between_two_processes_is_played_by_the_second_one(planned, tmp_path):
+    """The first one wrote last at 17:59:40; the second one begins at 18:00:10."""
+    on = CueTrigger(kind=TriggerKind.TIME, address="0 18 * * *")
+    stage = replace(planned.stage, cues=(StageCue(name="six", on=on, shows=("hello",)),), zone=UTC)
+    (tmp_path / "stage-2026-10-30-0000.jsonl").write_text('{"t": "2026-10-30T17:59:40+00:00"}\n')
+    options = {
+        "is_virtual": True, "lasts_s": 20.0, "log_folder": str(tmp_path),
+        "begins": "2026-10-30T18:00:10+00:00",
+    }  # fmt: skip
+    process = start_process(
+        packed(StageJob(planned=replace(planned, stage=stage))), options=options
+    )
+    assert process.wait(60) == 0
+    process.pipe.close()
+    lines = (tmp_path / "stage-2026-10-30-0000.jsonl").read_text().splitlines()
+    records = [json.loads(line) for line in lines[1:]]
+    fired = [one["t"] for one in records if one["kind"] == "fired"]
+    assert len(fired) == 1
+    assert fired[0] > "2026-10-30T18:00:10"
+    assert ("hello", "finished") in [
+        (one["show"], one["outcome"]) for one in records if one["kind"] == "over"
+    ]
+
+
 def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():
     options = options_of(
         {"start_at": "2026-10-30T18:00:00+00:00", "has_feedback": False, "log_folder": "x"}
