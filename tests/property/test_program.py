@@ -38,6 +38,7 @@ from lss_motion.show.model import Keyframe, Sequence
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.units import line_time_ns
+from tests import joints as made
 
 LAWS = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 ST1 = SERVO_MODELS["LSS-ST1"]
@@ -537,3 +538,26 @@ def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(sh
     assert program.line_use["main"].overlaps == 0
     text = to_text(program)
     assert to_text(from_text(text, robot)) == text
+
+
+def test_a_show_that_begins_at_the_end_of_a_range_between_two_wire_units_begins_inside():
+    """Else the commands start from where no servo stands, and ask for more than the limit."""
+    base = made.joint(
+        "base",
+        1,
+        position_min_deg=-70.592,
+        position_max_deg=132.0,
+        speed_max_deg_s=180.0,
+        accel_max_deg_s2=600.0,
+    )
+    bus = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
+    robot = Robot(name="arm", path=None, buses={"main": bus}, joints={"base": base})
+    frames = tuple(
+        Keyframe(at_s=at_s, deg={"base": deg})
+        for at_s, deg in ((0.0, -70.592), (1.37, 118.1), (3.0, -70.592))
+    )
+    trajectory = plan(Sequence(name="end", keyframes=frames), robot)
+    program = compile_program(trajectory, robot)
+    assert profiles(program, robot)["base"].at(-1.0)[0] == pytest.approx(-70.5)
+    check_commands(program, robot)
+    assert {move.target_wire for move in program.moves if move.target_wire < -705} == set()

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted
+from lss_motion.planning.program.moves import standing_wire
+from lss_motion.planning.program.reference_grid import servo_limits
 from lss_motion.protocol.constants import Family
 from lss_motion.units import MS_PER_S, s_from_us, us_from_s
 
@@ -177,9 +179,10 @@ def _header(
     wire_per_deg = joints[0].model.wire_per_deg
     end = "LSS_ActionLimp" if robot.end == "limp" else "LSS_ActionHold"
     starts = (
-        f"  {{{j.servo_id}, {round(j.servo_deg(program.start_deg[j.name]) * wire_per_deg)}}},"
+        f"  {{{j.servo_id}, {standing_wire(j.servo_deg(program.start_deg[j.name]), limits)}}},"
         f"  // {_shown(j.name)}"
         for j in joints
+        for limits in (servo_limits(j, program.tolerance_deg),)
     )
     return [
         "#pragma once",

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program.fit import TimedFit
 from lss_motion.planning.program.line import with_phases
-from lss_motion.planning.program.moves import LATEST_ARRIVAL_S, fitted_profiles, nearest_wire
+from lss_motion.planning.program.moves import LATEST_ARRIVAL_S, fitted_profiles, standing_wire
 from lss_motion.planning.program.reference_grid import GRID_S, servo_limits
 from lss_motion.planning.program.streamed import PULSE_S, StepFitter, StreamFitter
 from lss_motion.planning.program.verify import filter_profile
@@ -79,7 +79,7 @@ def make_fitter(
     """Return the fitter of `reference` for `joint`, which is not timed (those: `fit.TimedFit`)."""
     limits = servo_limits(joint, tolerance_deg)
     if joint.drive == "streamed":
-        start_deg = nearest_wire(float(reference.position_deg[0]), limits) / limits.wire_per_deg
+        start_deg = standing_wire(float(reference.position_deg[0]), limits) / limits.wire_per_deg
         return StreamFitter(reference, limits, filter_profile(joint, start_deg))
     assert joint.drive == "stepped"
     return StepFitter(reference, limits, seams_s)

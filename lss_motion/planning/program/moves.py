@@ -311,3 +311,13 @@ def nearest_wire(position_deg: float, limits: ServoLimits) -> int:
     low = math.ceil(limits.position_min_deg * per_deg - 1e-6)
     high = math.floor(limits.position_max_deg * per_deg + 1e-6)
     return limits.wire_step * min(max(round(position_deg * per_deg), low), high)
+
+
+def standing_wire(position_deg: float, limits: ServoLimits) -> int:
+    """Return the wire value of a servo that was sent to an angle, or stands there by itself.
+
+    It is inside the joint's range if the angle is.
+    """
+    if limits.position_min_deg - 1e-6 <= position_deg <= limits.position_max_deg + 1e-6:
+        return nearest_wire(position_deg, limits)
+    return limits.wire_step * round(position_deg * limits.wire_per_deg / limits.wire_step)

@@ -21,8 +21,8 @@ from lss_motion.errors import InputError
 from lss_motion.planning.program.line import LineSchedule, LineUse
 from lss_motion.planning.program.model import Move, Program, received_us, target_deg
 from lss_motion.planning.program.move_table import lines_use, moves_of
-from lss_motion.planning.program.moves import InitialMotion
-from lss_motion.planning.program.reference_grid import GRID_S, Reference
+from lss_motion.planning.program.moves import InitialMotion, standing_wire
+from lss_motion.planning.program.reference_grid import GRID_S, Reference, servo_limits
 from lss_motion.planning.program.schedule import RELAXED_RATIOS, Schedule, overload_error, slot_us
 from lss_motion.planning.program.verify import verify_profiles
 from lss_motion.robot.profile import Profile, profile_lead_s, ramp_deg_s2
@@ -177,8 +177,9 @@ def initial_splice_state(program: Program, robot: Robot) -> SpliceState:
         joint = robot.joints[name]
         if joint.drive != "timed":
             raise InputError(f"joint {name!r} is {joint.drive}; only timed joints are steered live")
+        limits = servo_limits(joint, program.tolerance_deg)
         profiles[name] = Profile(
-            round(joint.servo_deg(joint_deg) / joint.unit_deg) * joint.unit_deg,
+            standing_wire(joint.servo_deg(joint_deg), limits) / limits.wire_per_deg,
             ramp_deg_s2=ramp_deg_s2(joint),
             speed_max_deg_s=joint.speed_max_deg_s,
             response=joint.response,

@@ -19,7 +19,7 @@ from lss_motion.errors import LineLoadError, PlanningError
 from lss_motion.planning.program.line import with_phases
 from lss_motion.planning.program.model import TIMED
 from lss_motion.planning.program.move_table import columns_of
-from lss_motion.planning.program.moves import profiles_from_rest, replayed
+from lss_motion.planning.program.moves import profiles_from_rest, replayed, standing_wire
 from lss_motion.planning.program.reference_grid import LimitArrays, servo_limits
 from lss_motion.planning.program.response import PiecewiseProfile
 from lss_motion.planning.program.streamed import PULSE_S, FilterProfile, StepProfile, filter_accel
@@ -117,7 +117,7 @@ def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
         received_s[own] = np.maximum.accumulate(received_s[own])
         if name in program.start_deg:
             start_deg = joint.servo_deg(program.start_deg[name])
-            begins_deg[index] = round(start_deg / joint.unit_deg) * joint.unit_deg
+            begins_deg[index] = standing_wire(start_deg, limits[index]) / limits[index].wire_per_deg
             slices[name] = index, own
     is_timed = np.array([joint.drive == "timed" for joint in robot.joints.values()], dtype=bool)
     some = np.flatnonzero(is_timed[columns.joint])
@@ -179,12 +179,12 @@ def _check_filters(program: Program, robot: Robot) -> None:
         joint = robot.joints[name]
         own = columns.take(np.flatnonzero(columns.joint == list(robot.joints).index(name)))
         received_s = np.maximum.accumulate(own.received_us / US_PER_S)
-        begin_deg = round(joint.servo_deg(program.start_deg[name]) / joint.unit_deg)
+        limits = servo_limits(joint, program.tolerance_deg)
+        start_wire = standing_wire(joint.servo_deg(program.start_deg[name]), limits)
+        begin_deg = start_wire / limits.wire_per_deg
         targets_deg = own.target_wire / joint.model.wire_per_deg
-        accel_deg_s2, at_s = filter_accel(
-            received_s, targets_deg, begin_deg * joint.unit_deg, joint
-        )
-        room_deg = servo_limits(joint, program.tolerance_deg).tolerance_deg
+        accel_deg_s2, at_s = filter_accel(received_s, targets_deg, begin_deg, joint)
+        room_deg = limits.tolerance_deg
         allowed_deg_s2 = joint.accel_max_deg_s2 + room_deg / joint.response.filter_s**2
         if accel_deg_s2 > allowed_deg_s2:
             raise _uneven_error(program, robot, joint, accel_deg_s2, allowed_deg_s2, at_s)

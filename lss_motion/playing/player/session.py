@@ -18,7 +18,8 @@ from msgspec.structs import replace
 
 from lss_motion.planning.program.model import TOLERANCE_DEG, Move, Program, driving_of
 from lss_motion.planning.program.move_table import lines_use
-from lss_motion.planning.program.reference_grid import GRID_S, Reference
+from lss_motion.planning.program.moves import standing_wire
+from lss_motion.planning.program.reference_grid import GRID_S, Reference, servo_limits
 from lss_motion.planning.program.response import PiecewiseProfile
 from lss_motion.planning.program.verify import profiles
 from lss_motion.playing.player import checks, handshake
@@ -612,7 +613,7 @@ def _at_once(
             due_us=due_us[joint.bus],
             bus=joint.bus,
             servo_id=joint.servo_id,
-            target_wire=round(servo_deg / joint.unit_deg) * joint.model.wire_step,
+            target_wire=standing_wire(servo_deg, servo_limits(joint, TOLERANCE_DEG)),
             duration_ms=duration_ms if joint.drive == "timed" else None,
         )
         moves.append(move)
