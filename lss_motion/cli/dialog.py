@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.messages import agrees, put
 from lss_motion.errors import InputError
+from lss_motion.files.cache import mark_of
 from lss_motion.files.output import state_directory, write_output
 from lss_motion.files.source import read_data
 from lss_motion.files.texts import SCREEN_CHARS, aligned, counted
@@ -230,7 +231,8 @@ def agreed_modules(
     if not calls or is_allowed:
         return modules
     digest = _digest(path, calls)
-    if digest in _kept():
+    mark = mark_of([digest])
+    if mark is not None and mark.hex() in _kept():
         return modules
     if not is_at_keyboard():
         raise InputError(
@@ -248,7 +250,7 @@ def agreed_modules(
     return modules
 
 
-def _digest(path: Path, calls: Sequence[Call]) -> str:
+def _digest(path: Path, calls: Sequence[Call]) -> bytes:
     """Return the hash of the show, of the names of its functions, and of their modules."""
     digest = hashlib.sha256(json.dumps([str(path.resolve())]).encode())
     installed = {call.installed for call in calls if call.installed}
@@ -257,11 +259,14 @@ def _digest(path: Path, calls: Sequence[Call]) -> str:
     digest.update(json.dumps(sorted(call.run for call in calls)).encode())
     for name, data in sorted(contents.items()):
         digest.update(json.dumps([name, hashlib.sha256(data).hexdigest()]).encode())
-    return digest.hexdigest()
+    return digest.digest()
 
 
 def _kept() -> dict[str, str]:
-    """Return the shows that were allowed, by hash; what cannot be read was not allowed."""
+    """Return the shows that were allowed, by the mark of this user for their hash.
+
+    What cannot be read was not allowed, and nobody else can write a mark.
+    """
     try:
         kept = json.loads(read_data(state_directory() / FILE_NAME))
     except (InputError, ValueError, RecursionError):
@@ -269,12 +274,12 @@ def _kept() -> dict[str, str]:
     return kept if isinstance(kept, dict) else {}
 
 
-def _keep(path: Path, digest: str) -> None:
-    kept = {**_kept(), digest: str(path.resolve())}
-    newest = dict(list(kept.items())[-KEPT_MAX:])
+def _keep(path: Path, digest: bytes) -> None:
     file = state_directory() / FILE_NAME
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        mark = mark_of([digest], may_make_key=True) or b""
+        newest = dict(list({**_kept(), mark.hex(): str(path.resolve())}.items())[-KEPT_MAX:])
         write_output(file, json.dumps(newest, indent=1) + "\n")
     except (InputError, OSError) as error:
         put(f"warning: the answer cannot be kept, so it is asked again: {error}", sys.stderr)

@@ -234,6 +234,7 @@ show cannot be planned; 4 the port or the servos are not there (with --wait-port
 for); 5 the robot did not follow.
 """
 TOKEN_BYTES: Final = 32
+TOKEN_MAX_BYTES: Final = 200
 
 
 def _add_serve(commands: Commands) -> None:
@@ -480,13 +481,14 @@ def _token(stage: Path, *, is_new: bool) -> str:
     """
     import hashlib
 
+    from lss_motion.files.cache import own_secret
     from lss_motion.files.output import state_directory
 
     name = hashlib.sha256(str(stage.resolve()).encode()).hexdigest()[:16]
     path = state_directory() / "tokens" / name
-    with contextlib.suppress(OSError):
-        kept = path.read_text(encoding="ascii", errors="replace").strip()
-        if not is_new and len(kept) > TOKEN_BYTES:
+    if not is_new and (secret := own_secret(path, TOKEN_MAX_BYTES)) is not None:
+        kept = secret.decode("ascii", "replace").strip()
+        if len(kept) > TOKEN_BYTES:
             return kept
     token = secrets.token_urlsafe(TOKEN_BYTES)
     try:

@@ -73,17 +73,22 @@ def mark_of(parts: Iterable[bytes | memoryview], *, may_make_key: bool = False) 
 
 
 def _key(path: Path) -> bytes | None:
-    """Return the key of a file that belongs to this user and that no other can open."""
+    key = own_secret(path, KEY_BYTES)
+    return key if key is not None and len(key) == KEY_BYTES else None
+
+
+def own_secret(path: Path, most_bytes: int) -> bytes | None:
+    """Return the content of a file that belongs to this user and that no other can open."""
     try:
         state = path.stat()
-        key = bounded_data(path, KEY_BYTES)
+        content = bounded_data(path, most_bytes)
     except (OSError, InputError):
         return None
     if hasattr(os, "geteuid"):
         others = stat.S_IRWXG | stat.S_IRWXO
         if state.st_uid != os.geteuid() or state.st_mode & others:
             return None
-    return key if len(key) == KEY_BYTES else None
+    return content
 
 
 def _write(path: Path, parts: Iterable[bytes | memoryview]) -> None:

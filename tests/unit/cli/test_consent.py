@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.cli import dialog, play
+from lss_motion.cli import dialog, play, serving
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, InputError
+from lss_motion.files import cache
 from lss_motion.playing import api
 
 pytestmark = pytest.mark.realtime
@@ -139,12 +140,39 @@ def test_a_person_is_asked_once_for_each_file_and_content(folder, at_keyboard, m
     assert played() == EXIT_FINISHED
 
 
+def test_an_answer_that_somebody_else_has_written_allows_nothing(folder, at_keyboard):
+    at_keyboard("y\n")
+    assert played() == EXIT_FINISHED
+    key, kept = folder / "state" / cache.KEY_NAME, folder / "state" / dialog.FILE_NAME
+    theirs = kept.read_text()
+    key.unlink()
+    cache.mark_of([], may_make_key=True)  # What follows is what they wrote with a key of theirs.
+    at_keyboard("n\n")
+    assert played() == EXIT_INTERRUPTED
+    assert kept.read_text() == theirs
+    ran(folder)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no mode here")
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660])
+def test_a_secret_that_others_may_open_is_none(folder, mode):
+    stage = folder / "stage.yaml"
+    token = serving._token(stage, is_new=False)
+    assert serving._token(stage, is_new=False) == token
+    (path,) = (folder / "state" / "tokens").iterdir()
+    path.chmod(mode)
+    other = serving._token(stage, is_new=False)
+    assert other != token
+    assert serving._token(stage, is_new=False) == other
+    assert path.stat().st_mode & 0o077 == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"", b"[]", b"\xff\xfe", b"{" * 100_000])
 def test_a_damaged_memory_asks_again(damage, folder, at_keyboard):
     at_keyboard("y\n")
     assert played() == EXIT_FINISHED
-    (kept,) = (folder / "state").iterdir()
+    kept = folder / "state" / dialog.FILE_NAME
     kept.write_bytes(damage)
     at_keyboard("n\n")
     assert played() == EXIT_INTERRUPTED
