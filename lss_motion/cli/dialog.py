@@ -265,7 +265,7 @@ def _digest(path: Path, calls: Sequence[Call]) -> bytes:
 def _kept() -> dict[str, str]:
     """Return the shows that were allowed, by the mark of this user for their hash.
 
-    What cannot be read was not allowed, and nobody else can write a mark.
+    What cannot be read was not allowed; no other user can write a mark.
     """
     try:
         kept = json.loads(read_data(state_directory() / FILE_NAME))

@@ -32,7 +32,7 @@ def unplugged(at_s=AT_S, gone_s=1.0):
 
 
 def play(stage, kit, faults, *, stored=None, must_ask=False, wishes=(), **fields):
-    robot = kit.robot(3, baud_bps=115200, **fields)
+    robot = kit.robot(3, **{"baud_bps": 115_200, **fields})
     joints = {n: replace(one, stored=stored or {}) for n, one in robot.joints.items()}
     robot = replace(robot, joints=joints)
     sequence = kit.sequence(3, 4.0, seed=5, swing_deg=70.0, step_s=(0.5, 0.8))
@@ -101,6 +101,20 @@ def test_a_servo_that_is_exchanged_while_a_person_is_waited_for_is_never_driven(
     assert "joint 'j1': servo 2" in str(played.result.error)
     assert "(O)" in str(played.result.error)
     assert not [line for line in played.lines(after_ns=0) if re.match(rb"#\d+D", line)]
+
+
+@pytest.mark.parametrize("baud_bps", [9_600, 115_200])
+@pytest.mark.parametrize("later_s", [0.0, 0.3, 0.6, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0])
+def test_a_servo_that_is_exchanged_while_another_is_waited_for_is_never_driven(
+    stage, kit, baud_bps, later_s
+):
+    at_s = AT_S + later_s
+    reset = Fault(kind=FaultKind.RESET, servo_id=1, at_s=AT_S, deaf_s=0.6)
+    other = exchanged(at_s=at_s, deaf_s=0.6, G=-1)
+    played = play(stage, kit, [reset, other], baud_bps=baud_bps)
+    assert played.report.outcome == "fault"
+    assert "(G) -1" in str(played.result.error)
+    assert not [one for one in played.lines(after_ns=int((at_s + 0.6) * S)) if one[:3] == b"#2D"]
 
 
 def test_a_servo_of_the_same_settings_goes_on_with_them(stage, kit):

@@ -362,6 +362,7 @@ class PhaseMachine:
             self._fail(error)
             return
         self.present.hold_at(self.session.standing_deg)
+        self.session.note_proved(self.session.joints, self.now_ns)
         if self._must_ask:
             self._ready_ns = self.now_ns
             self._enter(Phase.READY)
@@ -372,9 +373,12 @@ class PhaseMachine:
         """Go on with servos that were away if they are the same as before; wait for the others."""
         if (error := self.faults.prove(preflight, now_ns)) is not None:
             self._fail(error)
-        elif preflight.unproved:
+            return
+        if preflight.unproved:
             self._enter(Phase.RECOVER)
-        elif self.phase is Phase.PREPARE and self._preparation.is_repeated:
+            return
+        self.session.note_proved(preflight.joints, now_ns)
+        if self.phase is Phase.PREPARE and self._preparation.is_repeated:
             self._approach(now_ns)
         else:
             self.prepare(is_repeated=self.phase is Phase.PREPARE)
@@ -409,6 +413,8 @@ class PhaseMachine:
                 self._enter(Phase.RECOVER)
         elif self._preparation.has_missed(self.session.timeouts, now_ns):
             self.dialogue = self.session.proof(self.session.driven, settings.answers)
+        elif away := self.session.unproved():  # While others were waited for.
+            self.dialogue = self.session.proof(away, settings.answers)
         elif self._preparation.is_stale(now_ns):
             self.prepare(is_repeated=True)
         else:

@@ -218,7 +218,7 @@ class Preflight:
         self.answers: dict[tuple[str, int, str], int | str | None] = dict(answers)
         self.stored: dict[tuple[str, int, str], int | str | None] = {}
         self.twins: TwinSearch | None = None
-        self._joints = list(joints)
+        self.joints = list(joints)
         self._robot = robot
         self._trackers = trackers
         self._reads_stored = reads_stored or (before is not None and bool(before.stored))
@@ -227,9 +227,9 @@ class Preflight:
         self._suspects = suspects
         self._calm = {bus: self._disturbances(bus) for bus in trackers}
         if before is None:
-            items = [*checks.queries(self._joints, led_joints), *more]
+            items = [*checks.queries(self.joints, led_joints), *more]
         else:
-            items = _identity_queries(self._joints, before.answers)
+            items = _identity_queries(self.joints, before.answers)
         self._rounds = self._all_rounds(items)
         self._round: Dialogue | TwinSearch | None = next(self._rounds)
 
@@ -259,7 +259,7 @@ class Preflight:
     def require_own_ids(self) -> None:
         """Raise `BusError` if several servos answer to the id of a joint."""
         twins = self.twins
-        for joint in self._joints if twins is not None else ():
+        for joint in self.joints if twins is not None else ():
             assert twins is not None
             address = (joint.bus, joint.servo_id)
             bus = self._robot.buses[joint.bus]
@@ -303,7 +303,7 @@ class Preflight:
         known = {key for key in self._before.answers if key[2][1:] in IDENTITY}
         left = (known - self.answers.keys()) | (self._before.stored.keys() - self.stored.keys())
         servos = {(bus, servo_id) for bus, servo_id, _ in left}
-        return [joint for joint in self._joints if (joint.bus, joint.servo_id) in servos]
+        return [joint for joint in self.joints if (joint.bus, joint.servo_id) in servos]
 
     # ---- the rounds
 
@@ -317,7 +317,7 @@ class Preflight:
         first = self._dialogue(items)
         yield first
         self.answers |= first.answers
-        disturbed = [j for j in self._joints if self._disturbances(j.bus) > self._calm[j.bus]]
+        disturbed = [j for j in self.joints if self._disturbances(j.bus) > self._calm[j.bus]]
         if disturbed:
             self.twins = TwinSearch(disturbed, self._trackers)
             yield self.twins
@@ -328,7 +328,7 @@ class Preflight:
             yield again
             self.answers |= again.answers
         wrong = {refusal.joint.name for refusal in self._refusals() if refusal.is_frame}
-        joints = [j for j in self._joints if self._reads_stored or j.name in wrong]
+        joints = [j for j in self.joints if self._reads_stored or j.name in wrong]
         items = checks.stored_queries(joints)
         if self._before is not None:
             items = [item for item in items if _address(item) in self._before.stored]
@@ -352,9 +352,9 @@ class Preflight:
     def _refusals(self) -> list[Refusal]:
         if self._before is not None:
             before, robot = self._before, self._robot
-            return [one for joint in self._joints for one in _exchange(joint, self, before, robot)]
-        present = standing_deg(self._joints, self.answers)
-        joints = [joint for joint in self._joints if joint.name in present]
+            return [one for joint in self.joints for one in _exchange(joint, self, before, robot)]
+        present = standing_deg(self.joints, self.answers)
+        joints = [joint for joint in self.joints if joint.name in present]
         return checks.refusals(joints, self.answers, self.stored, self._robot, self._show)
 
     def _unanswered(self) -> list[Item]:
@@ -363,11 +363,11 @@ class Preflight:
         It may have restarted in between, which takes longer than all tries of one query.
         """
         if self._before is not None:
-            items = _identity_queries(self._joints, self._before.answers)
+            items = _identity_queries(self.joints, self._before.answers)
             return [item for item in items if _address(item) not in self.answers]
-        present = standing_deg(self._joints, self.answers)
+        present = standing_deg(self.joints, self.answers)
         answering = {address[:2] for address in self.answers}
-        joints = [one for one in self._joints if (one.bus, one.servo_id) in answering]
+        joints = [one for one in self.joints if (one.bus, one.servo_id) in answering]
         angles = [query(joint, "QD") for joint in joints if joint.name not in present]
         frames = [
             item for item in checks.frame_queries(joints) if _address(item) not in self.answers

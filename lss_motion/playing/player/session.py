@@ -118,6 +118,8 @@ class Session:
         self.watched = SensorWatch(robot.sensors[name] for name in watched)
         """Sensors that are polled from the first streamer on, for a caller that acts on them."""
         self.left_out: set[str] = set()
+        self._proved_ns: dict[str, int] = {}
+        """By joint, when its servo was last compared with what it was before the show."""
         """Joints that are sent no move."""
         self.limp: list[Joint] = []
         """Joints whose motor has no power until the end."""
@@ -315,6 +317,18 @@ class Session:
         wrong = [(one, has_reported.get((one.bus, one.servo_id))) for one in self.driven]
         back = [j for j in self.driven if self.trackers[j.bus].back_ns(j.servo_id) > since_ns]
         return [j for j, has in wrong if has], [j for j, has in wrong if has is False] + back
+
+    def note_proved(self, joints: Iterable[Joint], now_ns: int) -> None:
+        """Note that the servos of these joints are the ones of before."""
+        self._proved_ns |= {joint.name: now_ns for joint in joints}
+
+    def unproved(self) -> list[Joint]:
+        """Return the driven joints whose servos were away since they were last compared."""
+        return [
+            joint
+            for joint in self.driven
+            if self.trackers[joint.bus].back_ns(joint.servo_id) > self._proved_ns.get(joint.name, 0)
+        ]
 
     def unrestored_text(self) -> str:
         """Return a warning about settings that are not given back; empty if none was changed."""
