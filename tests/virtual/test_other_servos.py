@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from lss_motion.playing.player.checks import stored_limits
 from lss_motion.playing.player.events import Phase
 from lss_motion.robot.on_fault import Cause
 from lss_motion.sim.faults import Fault, FaultKind
@@ -101,6 +102,36 @@ def test_a_servo_that_is_exchanged_while_a_person_is_waited_for_is_never_driven(
     assert "joint 'j1': servo 2" in str(played.result.error)
     assert "(O)" in str(played.result.error)
     assert not [line for line in played.lines(after_ns=0) if re.match(rb"#\d+D", line)]
+
+
+@pytest.mark.parametrize("deaf_s", [0.5, 0.6, 0.9])
+@pytest.mark.parametrize("settings", [{"G": -1}, {"O": 300}, {"O": -900}, {"AR": 900}])
+def test_another_servo_that_stores_the_limits_is_never_driven_after_a_short_absence(
+    stage, kit, settings, deaf_s
+):
+    """No query of a setting shows that it was away: all are as they were."""
+    limits = stored_limits(next(iter(kit.robot(1).joints.values())))
+    robot_limits = {"SD": SPEED_DEG_S, "AA": 600.0, "AD": 600.0}
+    played = play(
+        stage, kit, [exchanged(deaf_s=deaf_s, **{**limits, **settings})], stored=robot_limits
+    )
+    assert played.report.outcome == "fault"
+    assert f"({next(iter(settings))})" in str(played.result.error)
+    back_ns = int((AT_S + deaf_s) * S)
+    assert not [one for one in played.lines(after_ns=back_ns) if one.startswith(b"#2D")]
+
+
+@pytest.mark.parametrize("deaf_s", [0.5, 0.6, 0.9])
+def test_the_same_servo_goes_on_after_a_short_absence(stage, kit, deaf_s):
+    robot_limits = {"SD": SPEED_DEG_S, "AA": 600.0, "AD": 600.0}
+    played = play(
+        stage,
+        kit,
+        [Fault(kind=FaultKind.DEAF, servo_id=2, at_s=AT_S, until_s=AT_S + deaf_s)],
+        stored=robot_limits,
+    )
+    assert played.report.outcome == "finished"
+    assert np.abs(played.horn_error_deg()[-1]).max() < 1.0
 
 
 @pytest.mark.parametrize("baud_bps", [9_600, 115_200])

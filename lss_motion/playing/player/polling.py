@@ -390,6 +390,9 @@ class PollScheduler:
         state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
         if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
             self.health.answered(state)
+            is_back = tracker.back_ns(state.joint.servo_id) == now_ns
+            if is_back and state.settings.note_away(now_ns):
+                state.hold_back()
         for query, answer in accepted:
             if answer.keyword == "QA":
                 self._waiting.take_reply(bus, query.command.servo_id, answer.value)
@@ -487,7 +490,7 @@ class PollScheduler:
 
         A servo that has not restarted gets the moves that were held back.
         """
-        if reply.keyword not in state.settings.keywords:
+        if not state.settings.judges(reply.keyword):
             return False
         if (fault := state.take_probe(reply.keyword, reply.value)) is not None:
             self.health.lost_settings(state, fault)

@@ -227,7 +227,7 @@ class QueryChoice(ABC):
 
     def note_health_sent(self, state: JointState, keyword: str, now_ns: int) -> None:
         """Note a query about health, or a probe, to the servo of a joint."""
-        if keyword not in state.settings.keywords:
+        if not state.settings.judges(keyword):
             self._healths_ns[state.joint.name] = now_ns
         # What went along early makes the next one no earlier.
         planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))

@@ -400,6 +400,11 @@ class Probe(NamedTuple):
     original: int | None
     """The answer before the show, and probably after a restart."""
 
+    @property
+    def is_lasting(self) -> bool:
+        """Whether no restart changes the answer: only another servo has another one."""
+        return self.value == self.original
+
 
 @dataclass(slots=True)
 class _Doubt:
@@ -464,8 +469,11 @@ class ServoSettings:
     def begin(self, probes: Sequence[Probe]) -> None:
         """Watch from now on: the servo was set to these."""
         self._probes = {probe.keyword: probe for probe in reversed(probes)}
-        self.keywords = tuple(probe.keyword for probe in probes)
-        """The queries whose answers `take` judges."""
+        self._frame = tuple(probe.keyword for probe in probes if probe.is_lasting)
+        self._left: list[str] = []
+        """Queries that are to be answered rightly: the servo was away, and may be another one."""
+        self.keywords = tuple(probe.keyword for probe in probes if not probe.is_lasting)
+        """The queries that show whether it has restarted."""
         self.doubt: _Doubt | None = None
         self.is_lost = False
         """Whether the servo was proved to have restarted."""
@@ -489,12 +497,27 @@ class ServoSettings:
 
         After a timeout it is another one. A late answer to an earlier query is as good.
         """
-        doubt, words = self.doubt, self.keywords
+        doubt, words = self.doubt, self._left or self.keywords or self._frame
         return None if doubt is None else words[doubt.signs % len(words)]
+
+    def judges(self, keyword: str) -> bool:
+        """Return whether `take` judges answers to this."""
+        return keyword in self._probes
+
+    def note_away(self, now_ns: int) -> bool:
+        """Note that the servo answers again after a time in which it may have been exchanged.
+
+        Return whether it must be sent no move before its frame is read again.
+        """
+        if not self._frame or self.is_lost:
+            return False
+        self._left = [*self.keywords[:1], *self._frame]
+        return self.note_sign(now_ns, HOLD_SIGNS)
 
     def trust(self) -> None:
         """Note that the servo has the settings again that it had lost."""
         self.is_lost, self.is_limp, self.powered_ns = False, False, None
+        self._left = []
 
     def read_back(self, now_ns: int) -> str | None:
         """Return the probe that must be queried since the last one was too long ago."""
@@ -514,7 +537,7 @@ class ServoSettings:
 
         Return whether there were so many that the servo must be sent no move.
         """
-        if not self.keywords or self.is_lost:
+        if not (self.keywords or self._frame) or self.is_lost:
             return False
         doubt = self._doubted_now()
         if doubt.last_ns != now_ns:
@@ -531,10 +554,14 @@ class ServoSettings:
         if self.is_lost:
             return None  # That is reported; its settings are sent by the recovery.
         if value == probe.value:
-            self._end_doubt()
+            if keyword in self._left:
+                self._left.remove(keyword)
+            if not self._left:
+                self._end_doubt()
             return None
         doubt = self._doubted_now()
-        if not isinstance(value, int) or value not in (probe.original, doubt.wrong.get(keyword)):
+        known = (None if probe.is_lasting else probe.original, doubt.wrong.get(keyword))
+        if not isinstance(value, int) or value not in known:
             doubt.proofs = 0
             if isinstance(value, int):
                 doubt.wrong[keyword] = value
@@ -543,7 +570,12 @@ class ServoSettings:
         if doubt.proofs < PROOFS:
             return None
         self._end_doubt()
-        self.is_lost = True
+        self.is_lost, self._left = True, []
+        if probe.is_lasting:
+            return (
+                f"may be another servo: servo {self.joint.servo_id} answers {value} to {keyword}, "
+                f"and {probe.value} before the show"
+            )
         return (
             f"has lost its settings: servo {self.joint.servo_id} answers {value} to {keyword}, it "
             f"was set to {probe.value}. It has restarted. Look at its power supply"

@@ -35,6 +35,7 @@ from lss_motion.playing.player.joint_state import (
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import BY_NEED
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+from lss_motion.playing.player.servo_model import Probe
 from lss_motion.playing.player.streamer import Streamer
 from lss_motion.playing.player.unasked import UnaskedWatches
 from lss_motion.protocol.framing import Command, encode
@@ -433,6 +434,16 @@ class Session:
         show.resume({n: commanded[n] for n in show.joint_states if n in commanded}, self.left_out)
         self._take_over(show)
 
+    def _probes(self) -> dict[str, list[Probe]]:
+        """Return what shows that a servo has restarted, or that another one is in its place."""
+        found = handshake.probes(self.driven, self.original)
+        for joint in self.driven:
+            for keyword in (f"Q{name}" for name in checks.FRAME):
+                value = self.original.get((joint.bus, joint.servo_id, keyword))
+                if isinstance(value, int):
+                    found.setdefault(joint.name, []).append(Probe(keyword, value, value))
+        return found
+
     def _stream(
         self,
         program: Program,
@@ -450,7 +461,7 @@ class Session:
             has_feedback=self.has_feedback,
             start_ns=now_ns,
             start_s=start_s,
-            probes=handshake.probes(self.driven, self.original),
+            probes=self._probes(),
             pace=self._pace,
             beside=() if is_beside else self.beside,
             is_polling=not is_beside,
