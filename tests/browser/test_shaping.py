@@ -281,3 +281,24 @@ def test_the_text_is_changed_in_the_page_with_the_same_checks(studio, opened, tm
         page.key("Escape")
         page.key("Control+z")
         own.becomes(SHOW)
+
+
+def test_posing_at_the_cursor_makes_a_key(studio, opened, tmp_path):
+    with shaping(studio, opened, tmp_path) as own:
+        page = own.page
+        x, y, *_ = own.place("grüße", 3)
+        own.click(x, y)  # Beside keys: the cursor goes there.
+        slider = "document.querySelector('[data-pose=tilt]')"
+        page.run(
+            f"(() => {{ const own = {slider}; own.value = 12.5;"
+            " own.dispatchEvent(new Event('input', { bubbles: true })); })()"
+        )
+        page.wait(
+            "document.querySelector('.pose label:nth-child(2) output').textContent === '12.5°'"
+        )
+        page.run(f"{slider}.dispatchEvent(new Event('change', {{ bubbles: true }}))")
+        page.wait("!document.querySelector('.edits button').disabled")
+        added = re.search(r"  - {at_s: (\S+), deg: {tilt: 12.5}}\n", own.text())
+        assert added is not None, own.text()
+        assert abs(float(added[1]) - 3) < 0.03
+        assert own.text().replace(added[0], "") == SHOW

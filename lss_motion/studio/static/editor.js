@@ -127,7 +127,8 @@ export class Editor {
     const view = this.#view;
     if (view === null) return;
     const isJoint = row.kind === "joint";
-    const lane = isJoint ? view.keys[row.name]?.[0]?.lane ?? 0 : row.index;
+    const ownKeys = isJoint ? view.keys[row.name] ?? [] : [];
+    const lane = isJoint ? (ownKeys.find((key) => !key.is_added) ?? ownKeys[0])?.lane ?? 0 : row.index;
     const joints = isJoint ? [row.name] : view.lanes[lane]?.joints ?? [];
     const own = Object.fromEntries(joints.map((joint) => [joint, deg ?? plannedAt(view, joint, at_s)]));
     const name = view.lanes[lane]?.name ?? "";
@@ -136,6 +137,15 @@ export class Editor {
       const now = this.#view;
       return now === null ? null : addOf(now, now.lanes.findIndex((one) => one.name === name), [{ at_s: instant_s, deg: own }]);
     }, [{ lane: name, at_s: instant_s, joint: isJoint ? row.name : null }]);
+  }
+
+  /** Make a key of a joint at the cursor. @param {string} joint @param {number} deg */
+  pose(joint, deg) {
+    const { view, cursor_s } = this.store.state.value;
+    const index = view?.joints.findIndex((own) => own.name === joint) ?? -1;
+    if (index < 0) return;
+    this.add({ kind: "joint", name: joint, index, y_px: 0, height_px: 0 }, cursor_s, deg);
+    this.store.dispatch({ type: "set", fields: { wanted: [] } });
   }
 
   /** Add a key to the row that has the focus, at the cursor. */

@@ -55,6 +55,7 @@ export function firstState() {
     drafts: 0,
     is_dragging: false,
     ripple: false,
+    posed: null,
     menu: null,
     row: 0,
     dialog: null,

@@ -136,6 +136,8 @@ export type State = {
   drafts: number;
   is_dragging: boolean;
   ripple: boolean;
+  /** Angles that are tried at the cursor, while a slider is dragged. */
+  posed: Record<string, number> | null;
   menu: null | { x_px: number; y_px: number; at_s: number; row: import("./timeline/layout.js").Row | null; deg: number | undefined };
   row: number;
   dialog: null | { kind: string; file?: string; line?: number | null; title?: string; text?: string; yes?: string; run?: () => void };

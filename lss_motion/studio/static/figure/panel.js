@@ -109,11 +109,11 @@ export function FigurePanel({ store, isSought = false }) {
     /** @type {unknown[]} */
     let drawn = [];
     const end = onFrame(() => {
-      const { view, player, cursor_s, theme, robot_state } = store.state.peek();
+      const { view, player, cursor_s, theme, robot_state, posed } = store.state.peek();
       const newest = store.telemetry.peek();
       const telemetry = newest?.plan === view?.plan ? newest : null;
       const isRunning = RUNNING.has(player.state) && telemetry !== null;
-      const now = [view, telemetry, isRunning, cursor_s, theme, robot_state];
+      const now = [view, telemetry, isRunning, cursor_s, theme, robot_state, posed];
       if (view === null || now.every((one, index) => one === drawn[index])) return;
       if (theme !== drawn[4]) shown.setTheme();
       if (view !== drawn[0]) shown.frame(posesAllOver(view));
@@ -121,6 +121,7 @@ export function FigurePanel({ store, isSought = false }) {
       const read = telemetry === null ? livePose(robot_state) : readPose(view, telemetry, store.deviations);
       const at_s = isRunning && telemetry !== null ? withinView(view, Math.max(0, telemetry.show_s)) : cursor_s;
       const poses = posesOf(view, read, { at_s, isRunning, isSought });
+      if (isSought && posed !== null) Object.assign(poses.solid, posed);
       setRead(poses.isRead);
       shown.show(poses);
     });

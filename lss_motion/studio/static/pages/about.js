@@ -9,6 +9,7 @@ import { Choice } from "../parts/choice.js";
 import { FileLine, whyNoPlan } from "../parts/text.js";
 import { wholeKeys } from "../timeline/keys.js";
 import { timeText } from "../timeline/window.js";
+import { PoseSliders } from "./pose.js";
 
 /** @typedef {import("../state.js").State} State */
 /** @typedef {import("../state.js").View} View */
@@ -134,5 +135,6 @@ function AboutPlan({ state, actions }) {
         actions.set({ selection: { kind: "span", list, index } });
         actions.moveTo(span.from_s);
       }}>${span.text}</button></li>`))}</ul>
+    <${PoseSliders} state=${state} actions=${actions} />
     ${state.document?.notes.map((note) => html`<p class="muted">${note}</p>`)}`;
 }
