@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from contextlib import contextmanager
 
 import pytest
@@ -235,25 +237,37 @@ def test_values_are_typed_and_the_keyboard_does_what_the_pointer_does(studio, op
         page.wait(f"{CHECKED} && document.querySelector('[data-field=pan]').value === '40.5'")
 
 
-def test_a_limit_answers_at_once_and_then_for_sure(studio, opened, tmp_path):
+DRAFT = "(document.querySelector('.board').dataset.draft ?? '')"
+SLOWED = "document.querySelector('.edits .chip').textContent.includes('slowed')"
+
+
+def test_a_limit_answers_while_a_key_is_dragged_and_then_for_sure(studio, opened, tmp_path):
+    late = SHOW.replace("at_s: 4.0", "at_s: 2.2")
     with shaping(studio, opened, tmp_path) as own:
         page = own.page
+        path = tmp_path / "late.yaml"
+        path.write_text(late, encoding="utf-8")
+        (span,) = compiled(*load(path, None)).trajectory.stretched
         x, y, per_s, _ = own.place("grüße", 4)
         page.press_pointer(x, y)
-        page.pointer("mouseMoved", x - 0.9 * per_s, y, buttons=1)
-        page.pointer("mouseMoved", x - 1.8 * per_s, y, buttons=1)
+        os.kill(own.studio.process.pid, signal.SIGSTOP)
+        try:
+            page.pointer("mouseMoved", x - 0.9 * per_s, y, buttons=1)
+            page.pointer("mouseMoved", x - 1.8 * per_s, y, buttons=1)
+            page.wait(f"{DRAFT}.includes('estimate: pan at least 0.')", 10.0)
+        finally:
+            os.kill(own.studio.process.pid, signal.SIGCONT)
+        page.wait(f"{DRAFT}.includes({json.dumps(span.text)})", 20.0)
         page.wait("document.querySelector('.edits .chip').textContent.includes('draft')")
         page.key("Escape")
-        page.wait(CHECKED)
+        page.wait(f"{CHECKED} && {DRAFT} === ''")
         page.pointer("mouseReleased", x - 1.8 * per_s, y)
         assert own.text() == SHOW, "Escape gives the drag up, and stops nothing"
         own.drag((x, y), (-1.8 * per_s, 0))
-        page.wait("document.querySelector('.edits .chip').textContent.includes('slowed')")
+        page.wait(SLOWED)
         reason = page.wait("document.querySelector('.about .reasons li')?.textContent")
-        path = tmp_path / "late.yaml"
-        path.write_text(SHOW.replace("at_s: 4.0", "at_s: 2.2"), encoding="utf-8")
-        (span,) = compiled(*load(path, None)).trajectory.stretched
         assert reason == span.text, "as `check` says it"
+        assert own.text() == late
 
 
 def test_the_text_is_changed_in_the_page_with_the_same_checks(studio, opened, tmp_path):

@@ -183,6 +183,23 @@ export class Editor {
     this.link.ask(op, { revision });
   }
 
+  /**
+   * Return what moving the chosen keys would do, or null where that is not known now.
+   * @param {{ by_s: number, by_deg: number }} by @returns {Promise<import("./state.js").Tried | null>}
+   */
+  async tried(by) {
+    const { document: own, view, ripple } = this.store.state.value;
+    const edit = view === null || !this.#isShown ? null : moveOf(view, this.keys, { ...by, ripple });
+    if (edit === null || own === null) return null;
+    const { revision } = own;
+    try {
+      await this.link.send("edit.try", { revision, edit: { op: edit.op, revision, ...edit.fields } });
+      return this.store.tried.value;
+    } catch {
+      return null; // Something newer came first.
+    }
+  }
+
   // ---------------------------------------------------------------- one after the other
 
   /** @param {(view: import("./state.js").View, keys: KeyRef[]) => Edit | null} make

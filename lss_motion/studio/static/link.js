@@ -5,7 +5,7 @@
  */
 
 import { requestFrame } from "./frames.js";
-import { telemetryFrom, viewFrom } from "./messages.js";
+import { telemetryFrom, triedFrom, viewFrom } from "./messages.js";
 import { confirmStop, setStopOrigin, setStopSender } from "./stop.js";
 
 /** @typedef {import("./store.js").Store} Store */
@@ -133,6 +133,10 @@ export class ServerLink {
 
   /** @param {any} event */
   #takeEvent(event) {
+    if (event.event === "tried") {
+      this.#store.tried.value = triedFrom(event);
+      return;
+    }
     if (event.event === "welcome") {
       this.#retry_ms = RETRY_MS;
       setStopOrigin(event.stop_origin);

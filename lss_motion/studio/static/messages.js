@@ -35,6 +35,13 @@ export function telemetryFrom(buffer) {
   };
 }
 
+/** Return what an edit would do, with its arrays unpacked. @param {any} json @returns {import("./state.js").Tried} */
+export function triedFrom(json) {
+  if (json.window === null) return json;
+  const deg = Object.fromEntries(Object.entries(json.window.deg).map(([joint, own]) => [joint, floats32(/** @type {string} */ (own))]));
+  return { ...json, window: { ...json.window, deg } };
+}
+
 /** Return a view with its arrays unpacked, and the keys of each joint.
  * @param {any} json @returns {import("./state.js").View} */
 export function viewFrom(json) {

@@ -91,6 +91,13 @@ export type Stage = {
   hosts: StageHost[];
 };
 export type StageNote = { number: number; kind: string; text: string };
+/** The plan around an edit that is tried, `step_s` apart; outside of it all is as planned. */
+export type TriedWindow = {
+  from_s: number; to_s: number; later_s: number; is_joined: boolean;
+  keys: { place: string; label: string; authored_s: number; planned_s: number; is_missed: boolean }[];
+  slow: (Span & { by_s: number; limit: string })[]; step_s: number; deg: Record<string, Float32Array>;
+};
+export type Tried = { id: number; revision: number; problem: string | null; window: TriedWindow | null };
 export type Page = "show" | "timeline" | "robot";
 export type Selection =
   | { kind: "keys"; keys: KeyRef[] }

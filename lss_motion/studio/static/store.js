@@ -16,6 +16,8 @@ import { firstState, reduce } from "./reduce.js";
 export function createStore() {
   const state = signal(firstState());
   const telemetry = signal(/** @type {import("./state.js").Telemetry | null} */ (null));
+  /** What the edit that was tried last would do. */
+  const tried = signal(/** @type {import("./state.js").Tried | null} */ (null));
   /** @param {Action} action */
   const dispatch = (action) => {
     const next = reduce(state.value, action);
@@ -28,7 +30,7 @@ export function createStore() {
    * @template T @param {(state: State) => T} part
    */
   const select = (part) => computed(() => part(state.value));
-  return { state, telemetry, readings: new ReadingTrace(), deviations: new Deviations(), dispatch, select };
+  return { state, telemetry, tried, readings: new ReadingTrace(), deviations: new Deviations(), dispatch, select };
 }
 
 /** @typedef {ReturnType<typeof createStore>} Store */

@@ -6,7 +6,7 @@
 
 import { angleAt, usedOf, withinView } from "../curves.js";
 import { onFrame, requestFrame } from "../frames.js";
-import { draftOf } from "./draft.js";
+import { draftName, draftOf, draftText } from "./draft.js";
 import { drawLive, drawNames, drawTimeline, scaleOf } from "./draw.js";
 import { drawBox, drawDraft } from "./draw_draft.js";
 import { afterInput, HELD_MS, REST } from "./gestures.js";
@@ -21,6 +21,8 @@ import { fitted, following, kept, panned, pixelOf, timeAt, zoomed } from "./wind
 /** @typedef {import("./window.js").Window} Window */
 
 const WHEEL_FACTOR = 1.0015;
+/** Of more keys the planner is asked when they are let go: their window is nearly the whole show. */
+const TRIED_MAX = 100;
 
 export class TimelineBoard {
   /** @type {Store} */
@@ -42,11 +44,16 @@ export class TimelineBoard {
   /** @type {import("./palette.js").Palette | null} */
   #palette = null;
   #drawn = "";
+  /** @type {import("../state.js").Selection} */
+  #selection = null;
   #live = "";
   #isFitted = true;
   /** @type {import("./gestures.js").Gesture} */
   #gesture = REST;
   #held = 0;
+  /** What the planner said last of a draft. @type {{ name: string, tried: import("../state.js").Tried | null }} */
+  #trial = { name: "", tried: null };
+  #isTrying = false;
   #actions;
   /** @type {(() => void)[]} */
   #ends = [];
@@ -206,10 +213,10 @@ export class TimelineBoard {
   /** @param {import("./draw.js").Scene} scene @param {import("../state.js").State} state */
   #drawPlan(scene, state) {
     const { start_s, px_per_s, width_px } = this.#seen;
-    const drawn = [start_s, px_per_s, width_px, this.#scroll_px, this.#height_px, state.order,
-      state.row, JSON.stringify(state.selection)].join(" ");
-    if (drawn === this.#drawn) return;
+    const drawn = [start_s, px_per_s, width_px, this.#scroll_px, this.#height_px, state.order, state.row].join(" ");
+    if (drawn === this.#drawn && state.selection === this.#selection) return;
     this.#drawn = drawn;
+    this.#selection = state.selection;
     const [names, plan] = this.#contexts();
     this.keys = drawTimeline(plan, scene);
     const walked = this.#layout === null ? [] : walkedRows(this.#layout);
@@ -238,7 +245,23 @@ export class TimelineBoard {
     const gesture = this.#gesture;
     if (gesture.kind === "box" && gesture.isMoved) drawBox(live, scene, boxOf(gesture.from, gesture.at));
     const draft = gesture.kind === "keys" ? this.#draft(gesture) : null;
-    if (gesture.kind === "keys" && draft !== null) drawDraft(live, scene, draft, gesture.hit, gesture.at);
+    if (gesture.kind !== "keys" || draft === null) return;
+    void this.#try(draft);
+    const tried = this.#trial.name === draftName(draft) ? this.#trial.tried : null;
+    const words = draftText(view, draft, gesture.hit, tried);
+    this.#element.dataset["draft"] = words.join("; ");
+    drawDraft(live, scene, draft, { held: gesture.hit, at: gesture.at, tried, words });
+  }
+
+  /** Ask the planner for the newest draft, one at a time. @param {import("./draft.js").Draft} draft */
+  async #try(draft) {
+    const name = draftName(draft);
+    if (this.#isTrying || name === this.#trial.name || draft.keys.length > TRIED_MAX) return;
+    this.#isTrying = true;
+    const tried = await this.#editor.tried(draft);
+    this.#isTrying = false;
+    this.#trial = { name, tried };
+    if (this.#gesture.kind === "keys") this.#redraw();
   }
 
   /** @param {import("../state.js").State} state @returns {number | null} */
@@ -298,6 +321,7 @@ export class TimelineBoard {
     const isHeld = next.kind === "press" || next.kind === "pan" && !next.isMoved;
     if (!isHeld) window.clearTimeout(this.#held);
     if (next.kind === "keys" && before !== "keys") {
+      this.#trial = { name: "", tried: null };
       this.#element.style.cursor = "grabbing";
       this.#store.dispatch({ type: "set", fields: { is_dragging: true } });
     }
@@ -321,6 +345,7 @@ export class TimelineBoard {
       case "draft": return this.#redraw();
       default:
         this.#element.style.cursor = "";
+        delete this.#element.dataset["draft"];
         this.#store.dispatch({ type: "set", fields: { is_dragging: false } });
         return this.#redraw();
     }

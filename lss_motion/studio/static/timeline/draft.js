@@ -3,7 +3,7 @@
 
 import { angleAt } from "../curves.js";
 import { number } from "../numbers.js";
-import { latenessOf } from "./estimate.js";
+import { latenessAt } from "./estimate.js";
 import { draggedBy } from "./gestures.js";
 import { isChosen, isJointChosen } from "./keys.js";
 import { evened, snapped, STEPS_DEG, STEPS_S, targetsOf } from "./snap.js";
@@ -66,17 +66,65 @@ export function withinRange(view, keys, by_deg) {
   return found;
 }
 
-/** Return the keys of a joint in a lane as they would be, in order of time.
- * @param {View} view @param {number} lane @param {string} joint
- * @param {{ keys: KeyRef[], by_s: number, by_deg: number }} draft @returns {(Stop & { isMoved: boolean })[]} */
-export function stopsOf(view, lane, joint, { keys, by_s, by_deg }) {
-  return (view.lanes[lane]?.keys ?? []).flatMap((own, key) => {
+/** @typedef {Stop & { isTurned: boolean }} KeyStop */
+/** @typedef {{ moved: KeyStop[], still: KeyStop[] }} Split the keys of a joint in a lane, each in order of time */
+/** A drag asks for them at every move of the pointer. @type {WeakMap<KeyRef[], Map<string, Split>>} */
+const splits = new WeakMap();
+
+/** Return which keys of a joint in a lane are dragged. @param {View} view @param {number} lane @param {string} joint
+ * @param {KeyRef[]} keys never changed @returns {Split} */
+export function splitOf(view, lane, joint, keys) {
+  let all = splits.get(keys);
+  if (all === undefined) splits.set(keys, all = new Map());
+  const name = `${lane} ${joint}`;
+  let found = all.get(name);
+  if (found !== undefined) return found;
+  all.set(name, found = { moved: [], still: [] });
+  const { moved, still } = found;
+  (view.lanes[lane]?.keys ?? []).forEach((own, key) => {
     const deg = own.deg[joint];
-    if (deg === undefined) return [];
-    const isMoved = isChosen(keys, lane, key, joint);
-    const at_s = (own.authored_s ?? own.at_s) + (isMoved ? by_s : 0);
-    return [{ at_s, deg: deg + (isJointChosen(keys, lane, key, joint) ? by_deg : 0), hold_s: own.hold_s, isMoved }];
-  }).sort((one, other) => one.at_s - other.at_s);
+    if (deg === undefined) return;
+    const isTurned = isJointChosen(keys, lane, key, joint);
+    const stop = { at_s: own.authored_s ?? own.at_s, deg, hold_s: own.hold_s, isTurned };
+    (isChosen(keys, lane, key, joint) ? moved : still).push(stop);
+  });
+  for (const stops of [moved, still]) stops.sort((one, other) => one.at_s - other.at_s);
+  return found;
+}
+
+/** Return a dragged key as it would be. @param {KeyStop} stop @param {{ by_s: number, by_deg: number }} draft @returns {KeyStop} */
+export function draggedStop(stop, { by_s, by_deg }) {
+  return { ...stop, at_s: stop.at_s + by_s, deg: stop.deg + (stop.isTurned ? by_deg : 0) };
+}
+
+/** Return the first key that is not before an instant. @param {KeyStop[]} stops @param {number} at_s */
+function placeOf(stops, at_s) {
+  let low = 0;
+  for (let high = stops.length; low < high;) {
+    const middle = (low + high) >> 1;
+    if (/** @type {KeyStop} */ (stops[middle]).at_s < at_s) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/**
+ * Return a dragged key as it would be with two keys to each side, as far as there are, and which it is.
+ * @param {Split} split @param {number} index of the key among those that are dragged
+ * @param {{ by_s: number, by_deg: number }} draft @returns {{ stops: KeyStop[], own: number }}
+ */
+export function around({ moved, still }, index, draft) {
+  const held = draggedStop(/** @type {KeyStop} */ (moved[index]), draft);
+  const place = placeOf(still, held.at_s);
+  const stops = [
+    ...still.slice(Math.max(place - 2, 0), place + 2),
+    ...moved.slice(Math.max(index - 2, 0), index).map((own) => draggedStop(own, draft)),
+    held,
+    ...moved.slice(index + 1, index + 3).map((own) => draggedStop(own, draft)),
+  ].sort((one, other) => one.at_s - other.at_s);
+  const own = stops.indexOf(held);
+  const first = Math.max(own - 2, 0);
+  return { stops: stops.slice(first, own + 3), own: own - first };
 }
 
 /** @param {View} view @param {KeyRef[]} keys @param {number} by_s @param {number} by_deg @returns {Draft["late"]} */
@@ -85,23 +133,54 @@ function lateness(view, keys, by_s, by_deg) {
   let worst = null;
   for (const lane of new Set(keys.map((one) => one.lane))) {
     for (const limits of view.joints) {
-      const joint = limits.name;
-      const found = latenessOf(stopsOf(view, lane, joint, { keys, by_s, by_deg }), limits);
-      if (found !== null && found.late_s > (worst?.late_s ?? 0)) worst = { joint, ...found };
+      const split = splitOf(view, lane, limits.name, keys);
+      // Keys that are all dragged keep their distance.
+      if (split.still.length === 0 && by_deg === 0) continue;
+      split.moved.forEach((_, index) => {
+        const { stops, own } = around(split, index, { by_s, by_deg });
+        const found = latenessAt(stops, own, limits);
+        if (found !== null && found.late_s > (worst?.late_s ?? 0)) worst = { joint: limits.name, ...found };
+      });
     }
   }
   return worst;
 }
 
-/** Return a draft in words. @param {View} view @param {Draft} draft @param {{ lane: number, key: number, joint: string | null }} held */
-export function draftText(view, draft, held) {
+/** By this the answer of the planner is known to be that of a draft. @param {{ by_s: number, by_deg: number }} draft */
+export function draftName({ by_s, by_deg }) {
+  return `${by_s} ${by_deg}`;
+}
+
+/** Whether a draft breaks a limit: by the planner's answer, else by the estimate.
+ * @param {Draft} draft @param {import("../state.js").Tried | null} tried */
+export function isLate(draft, tried) {
+  if (tried === null || tried.window === null) return draft.late !== null || (tried?.problem ?? null) !== null;
+  return tried.window.slow.length > 0;
+}
+
+/** Return what the planner says of a draft. @param {import("../state.js").Tried} tried @returns {string[]} */
+function triedTexts({ problem, window }) {
+  if (problem !== null) return [problem];
+  if (window === null) return [];
+  const missed = window.keys.filter((key) => key.is_missed).map((key) => (
+    `anchor ${key.label || key.place} fails by ${(key.planned_s - key.authored_s).toFixed(2)} s`));
+  const later = window.later_s > 1e-3 ? [`what follows is ${window.later_s.toFixed(2)} s later`] : [];
+  const slow = window.slow.slice(0, 2).map((span) => span.text);
+  return slow.length + missed.length === 0 ? ["within all limits"] : [...missed, ...slow, ...later];
+}
+
+/** Return a draft in words: what the planner says of it, until then an estimate. @param {View} view @param {Draft} draft
+ * @param {{ lane: number, key: number, joint: string | null }} held @param {import("../state.js").Tried | null} tried */
+export function draftText(view, draft, held, tried) {
   const own = view.lanes[held.lane]?.keys[held.key];
   if (own === undefined) return [];
   const { by_s, by_deg, what, late } = draft;
   const texts = [];
   if (by_s !== 0) texts.push(`${timeText((own.authored_s ?? own.at_s) + by_s, 0.001)} (${signed(by_s, 3)} s)${what === "" ? "" : `, at ${what}`}`);
   if (by_deg !== 0 && held.joint !== null) texts.push(`${number((own.deg[held.joint] ?? 0) + by_deg, 1)}° (${signed(by_deg, 1)}°)`);
-  if (late !== null) texts.push(`estimate: ${late.joint} at least ${late.late_s.toFixed(2)} s late (${late.limit})`);
+  const told = tried === null ? [] : triedTexts(tried);
+  if (told.length > 0) texts.push(...told);
+  else if (late !== null) texts.push(`estimate: ${late.joint} at least ${late.late_s.toFixed(2)} s late (${late.limit})`);
   return texts;
 }
 

@@ -2,10 +2,10 @@
 /** What is drawn while keys are dragged or a box is drawn: above the plan, as the playhead is. Pure. */
 
 import { corridor } from "./estimate.js";
-import { draftText, stopsOf } from "./draft.js";
+import { around, draggedStop, isLate, splitOf } from "./draft.js";
 import { diamond, KEY_PX, scaleOf } from "./draw.js";
 import { isChosen } from "./keys.js";
-import { pixelOf, timeAt } from "./window.js";
+import { isInSight, pixelOf, timeAt } from "./window.js";
 
 /** @typedef {import("./draw.js").Scene} Scene */
 /** @typedef {import("./draft.js").Draft} Draft */
@@ -14,28 +14,33 @@ import { pixelOf, timeAt } from "./window.js";
 const CORRIDOR_PX = 4;
 const LINE_PX = 18;
 const CHAR_PX = 6.8;
+const WORDS_MAX_CHARS = 56;
+/** The ways of more keys than these are not drawn: they are a carpet. */
+const WAYS_MAX = 60;
 
 /**
  * Draw the keys where they would be, the way to their neighbours, how far a joint can get, and words.
  * @param {Ctx} ctx @param {Scene} scene @param {Draft} draft
- * @param {import("./gestures.js").KeyHit} held the key that the pointer has @param {{ x_px: number, y_px: number }} at
+ * @param {{ held: import("./gestures.js").KeyHit, at: { x_px: number, y_px: number }, words: string[],
+ *   tried: import("../state.js").Tried | null }} more the key that the pointer has, where it is, and
+ * what the planner says of the draft
  */
-export function drawDraft(ctx, scene, draft, held, at) {
+export function drawDraft(ctx, scene, draft, { held, at, words, tried }) {
   const { palette, rows, view, seen } = scene;
-  const isLate = draft.late !== null;
-  const colour = isLate ? palette.stretched : palette.selected;
+  const hasTrouble = isLate(draft, tried);
+  const colour = hasTrouble ? palette.stretched : palette.selected;
   for (const row of rows) {
     if (row.kind === "lane") {
-      ctx.fillStyle = colour;
-      ctx.beginPath();
-      view.lanes[row.index]?.keys.forEach((key, index) => {
-        if (isChosen(draft.keys, row.index, index, null)) diamond(ctx, pixelOf(seen, key.at_s + draft.by_s), row.y_px + row.height_px / 2, KEY_PX + 1);
-      });
-      ctx.fill();
+      const y_px = row.y_px + row.height_px / 2;
+      const points = (view.lanes[row.index]?.keys ?? []).flatMap(({ at_s }, index) => (
+        isChosen(draft.keys, row.index, index, null) && isInSight(seen, at_s + draft.by_s) ? [{ x_px: pixelOf(seen, at_s + draft.by_s), y_px }] : []));
+      drawPoints(ctx, points, colour, palette.surface);
     }
-    if (row.kind === "joint" && scene.order === 0) drawJoint(ctx, scene, row, draft, held, colour);
+    if (row.kind !== "joint" || scene.order !== 0) continue;
+    if (tried?.window != null) drawWindow(ctx, scene, row, tried.window, colour);
+    drawJoint(ctx, scene, row, draft, held, colour);
   }
-  drawWords(ctx, scene, draftText(view, draft, held), at, isLate);
+  drawWords(ctx, scene, words, at, hasTrouble);
 }
 
 /** @param {Ctx} ctx @param {Scene} scene @param {import("./layout.js").Row} row @param {Draft} draft
@@ -43,41 +48,74 @@ export function drawDraft(ctx, scene, draft, held, at) {
 function drawJoint(ctx, scene, row, draft, held, colour) {
   const { view, seen, palette } = scene;
   const { y } = scaleOf(scene, row);
-  const lanes = new Set(draft.keys.map((one) => one.lane));
-  for (const lane of lanes) {
+  for (const lane of new Set(draft.keys.map((one) => one.lane))) {
     if (view.lanes[lane]?.is_added) continue;
-    const stops = stopsOf(view, lane, row.name, draft);
-    if (!stops.some((own) => own.isMoved)) continue;
-    if (held.joint === row.name && held.lane === lane) drawCorridor(ctx, scene, row, stops, draft);
-    ctx.strokeStyle = colour;
-    ctx.lineWidth = 1;
-    ctx.setLineDash([4, 3]);
-    ctx.beginPath();
-    stops.forEach((own, index) => {
-      const next = stops[index + 1];
-      if (next === undefined || !own.isMoved && !next.isMoved) return;
-      ctx.moveTo(pixelOf(seen, own.at_s + own.hold_s), y(own.deg));
-      ctx.lineTo(pixelOf(seen, next.at_s), y(next.deg));
-    });
-    ctx.stroke();
-    ctx.setLineDash([]);
-    ctx.fillStyle = colour;
-    ctx.beginPath();
-    for (const own of stops) if (own.isMoved) diamond(ctx, pixelOf(seen, own.at_s), y(own.deg), KEY_PX + 1);
-    ctx.fill();
-    ctx.strokeStyle = palette.surface;
-    ctx.stroke();
+    const split = splitOf(view, lane, row.name, draft.keys);
+    if (split.moved.length === 0) continue;
+    if (split.moved.length <= WAYS_MAX) drawWays(ctx, scene, split, draft, colour, y);
+    if (held.joint === row.name && held.lane === lane && draft.keys.length === 1) drawCorridor(ctx, scene, row, around(split, 0, draft));
+    const points = split.moved.map((stop) => draggedStop(stop, draft)).filter((own) => isInSight(seen, own.at_s))
+      .map((own) => ({ x_px: pixelOf(seen, own.at_s), y_px: y(own.deg) }));
+    drawPoints(ctx, points, colour, palette.surface);
   }
 }
 
+/** Keys that are dragged: diamonds, and small where they are many. @param {Ctx} ctx
+ * @param {{ x_px: number, y_px: number }[]} points @param {string} colour @param {string} edge */
+function drawPoints(ctx, points, colour, edge) {
+  ctx.fillStyle = colour;
+  if (points.length > WAYS_MAX) {
+    for (const { x_px, y_px } of points) ctx.fillRect(Math.round(x_px) - 1, Math.round(y_px) - 2, 2, 4);
+    return;
+  }
+  ctx.beginPath();
+  for (const { x_px, y_px } of points) diamond(ctx, x_px, y_px, KEY_PX + 1);
+  ctx.fill();
+  ctx.strokeStyle = edge;
+  ctx.lineWidth = 1;
+  ctx.stroke();
+}
+
+/** The straight ways to the keys before and after those that are dragged. @param {Ctx} ctx @param {Scene} scene
+ * @param {import("./draft.js").Split} split @param {Draft} draft @param {string} colour @param {(deg: number) => number} y */
+function drawWays(ctx, { seen }, split, draft, colour, y) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = 1;
+  ctx.setLineDash([4, 3]);
+  ctx.beginPath();
+  split.moved.forEach((_, index) => {
+    const { stops, own } = around(split, index, draft);
+    for (const to of [own, own + 1]) {
+      const [before, after] = [stops[to - 1], stops[to]];
+      if (before === undefined || after === undefined) continue;
+      ctx.moveTo(pixelOf(seen, before.at_s + before.hold_s), y(before.deg));
+      ctx.lineTo(pixelOf(seen, after.at_s), y(after.deg));
+    }
+  });
+  ctx.stroke();
+  ctx.setLineDash([]);
+}
+
+/** The plan that the edit would have. @param {Ctx} ctx @param {Scene} scene @param {import("./layout.js").Row} row
+ * @param {import("../state.js").TriedWindow} window @param {string} colour */
+function drawWindow(ctx, scene, row, window, colour) {
+  const deg = window.deg[row.name];
+  if (deg === undefined) return;
+  const { y } = scaleOf(scene, row);
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = 2;
+  ctx.beginPath();
+  deg.forEach((own, index) => ctx.lineTo(pixelOf(scene.seen, window.from_s + index * window.step_s), y(own)));
+  ctx.stroke();
+}
+
 /** Shade where the key can be without being late. @param {Ctx} ctx @param {Scene} scene
- * @param {import("./layout.js").Row} row @param {ReturnType<typeof stopsOf>} stops @param {Draft} draft */
-function drawCorridor(ctx, scene, row, stops, draft) {
+ * @param {import("./layout.js").Row} row @param {ReturnType<typeof around>} place */
+function drawCorridor(ctx, scene, row, { stops, own }) {
   const { view, seen, palette } = scene;
   const limits = view.joints[row.index];
-  const index = stops.findIndex((own) => own.isMoved);
-  if (limits === undefined || draft.keys.length !== 1 || index < 0) return;
-  const [before, after] = [stops[index - 1], stops[index + 1]];
+  if (limits === undefined) return;
+  const [before, after] = [stops[own - 1], stops[own + 1]];
   const from_px = Math.max(before === undefined ? 0 : pixelOf(seen, before.at_s + before.hold_s), 0);
   const to_px = Math.min(after === undefined ? seen.width_px : pixelOf(seen, after.at_s), seen.width_px);
   const { y, low, high } = scaleOf(scene, row);
@@ -92,8 +130,9 @@ function drawCorridor(ctx, scene, row, stops, draft) {
   ctx.globalAlpha = 1;
 }
 
-/** @param {Ctx} ctx @param {Scene} scene @param {string[]} texts @param {{ x_px: number, y_px: number }} at @param {boolean} isLate */
-function drawWords(ctx, scene, texts, at, isLate) {
+/** @param {Ctx} ctx @param {Scene} scene @param {string[]} whole @param {{ x_px: number, y_px: number }} at @param {boolean} hasTrouble */
+function drawWords(ctx, scene, whole, at, hasTrouble) {
+  const texts = whole.flatMap((text) => wrapped(text, WORDS_MAX_CHARS));
   if (texts.length === 0) return;
   const { palette, seen, height_px } = scene;
   const width_px = Math.max(...texts.map((text) => text.length)) * CHAR_PX + 16;
@@ -102,13 +141,25 @@ function drawWords(ctx, scene, texts, at, isLate) {
   const y_px = Math.max(Math.min(at.y_px - tall_px - 12, height_px - tall_px - 4), 4);
   ctx.fillStyle = palette.raised;
   ctx.fillRect(x_px, y_px, width_px, tall_px);
-  ctx.strokeStyle = isLate ? palette.stretched : palette.selected;
+  ctx.strokeStyle = hasTrouble ? palette.stretched : palette.selected;
   ctx.lineWidth = 1;
   ctx.strokeRect(x_px + 0.5, y_px + 0.5, width_px - 1, tall_px - 1);
   ctx.font = "12px system-ui, sans-serif";
   ctx.textBaseline = "middle";
   ctx.fillStyle = palette.text;
   texts.forEach((text, index) => ctx.fillText(text, x_px + 8, y_px + 4 + LINE_PX * (index + 0.5)));
+}
+
+/** Return a text in lines of so many signs, broken between words. @param {string} text @param {number} most */
+export function wrapped(text, most) {
+  /** @type {string[]} */
+  const lines = [];
+  for (const word of text.split(" ")) {
+    const last = lines.at(-1);
+    if (last === undefined || last.length + word.length + 1 > most) lines.push(word);
+    else lines[lines.length - 1] = `${last} ${word}`;
+  }
+  return lines;
 }
 
 /** Draw the box that chooses keys. @param {Ctx} ctx @param {Scene} scene @param {import("./keys.js").Box} box */

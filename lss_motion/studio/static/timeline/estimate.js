@@ -4,7 +4,7 @@
  * An estimate: no motion is faster than this, and the planner says what the real one is. Pure.
  */
 
-/** @typedef {{ at_s: number, deg: number, hold_s: number, isMoved?: boolean }} Stop a key of one joint */
+/** @typedef {{ at_s: number, deg: number, hold_s: number }} Stop a key of one joint */
 /** @typedef {{ speed_max_deg_s: number, accel_max_deg_s2: number, range_deg: [number, number] }} Limits */
 /** @typedef {{ late_s: number, limit: "speed" | "acceleration" }} Estimate */
 
@@ -25,18 +25,18 @@ export function leastTime(by_deg, limits, isRest) {
 }
 
 /**
- * Return by how much one of the keys of a joint is late at least, or null: the worst of those that
- * are moved, and of their neighbours. @param {Stop[]} stops in order of time @param {Limits} limits @returns {Estimate | null}
+ * Return by how much a key or the one after it is late at least, or null. There are two keys to
+ * each side, or the joint has no more. @param {Stop[]} stops in order of time @param {number} index
+ * @param {Limits} limits @returns {Estimate | null}
  */
-export function latenessOf(stops, limits) {
+export function latenessAt(stops, index, limits) {
   /** @type {Estimate | null} */
   let worst = null;
-  for (let index = 1; index < stops.length; index += 1) {
-    const before = /** @type {Stop} */ (stops[index - 1]);
-    const own = /** @type {Stop} */ (stops[index]);
-    if (own.isMoved === false && before.isMoved === false) continue;
+  for (const to of [index, index + 1]) {
+    const [before, own] = [stops[to - 1], stops[to]];
+    if (before === undefined || own === undefined) continue;
     const room_s = own.at_s - before.at_s - before.hold_s;
-    const isRest = rests(stops, index - 1) && rests(stops, index);
+    const isRest = rests(stops, to - 1) && rests(stops, to);
     const { least_s, limit } = leastTime(own.deg - before.deg, limits, isRest);
     const late_s = least_s - room_s;
     if (late_s > Math.max(LATE_MIN_S, worst?.late_s ?? 0)) worst = { late_s, limit };

@@ -22,6 +22,12 @@ export function endOf(view) {
   return view.start_s + view.width_px / view.px_per_s;
 }
 
+/** Whether an instant is seen. @param {Window} view @param {number} at_s */
+export function isInSight(view, at_s) {
+  const x_px = pixelOf(view, at_s);
+  return x_px >= 0 && x_px <= view.width_px;
+}
+
 /** Return the window that shows all of it. @param {number} length_s @param {number} width_px */
 export function fitted(length_s, width_px) {
   const room_px = Math.max(width_px - 2 * MARGIN_PX, 1);
