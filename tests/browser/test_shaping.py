@@ -268,6 +268,25 @@ def test_a_limit_answers_while_a_key_is_dragged_and_then_for_sure(studio, opened
         reason = page.wait("document.querySelector('.about .reasons li')?.textContent")
         assert reason == span.text, "as `check` says it"
         assert own.text() == late
+        # What the planner has found to bring it in time is one click, and does.
+        chips = "[...document.querySelectorAll('.repairs button')]"
+        page.wait(f"{chips}.length > 0", 20.0)
+        found = page.run(f"{chips}.map((one) => one.textContent)")
+        assert found[0] == "+0.38 s here", found
+        page.run(f"{chips}[0].click()")
+        own.becomes(SHOW.replace("at_s: 4.0", "at_s: 2.58"))
+        assert not page.run(SLOWED)
+        assert page.wait("document.querySelector('[data-spare]')?.textContent").startswith(
+            "to spare"
+        )
+        page.key("Control+z")
+        own.becomes(late)
+        for chip in found[1:]:
+            page.wait(f"{chips}.length === {len(found)}", 20.0)
+            page.run(f"{chips}.find((one) => one.textContent === {json.dumps(chip)}).click()")
+            page.wait(f"{CHECKED} && !({SLOWED})", 20.0)
+            page.key("Control+z")
+            own.becomes(late)
 
 
 def test_the_text_is_changed_in_the_page_with_the_same_checks(studio, opened, tmp_path):

@@ -170,8 +170,11 @@ def test_an_estimate_is_never_more_than_the_least_time(wave, opened):
         found = asked(
             page, ["timeline/estimate"],
             f"""return {json.dumps(cases)}.map(([by, speed_max_deg_s, accel_max_deg_s2]) =>
-              [true, false].map((isRest) => estimate.leastTime(-by,
-                {{ speed_max_deg_s, accel_max_deg_s2 }}, isRest).least_s));""",
+              [true, false].map((isRest) => {{
+                const limits = {{ speed_max_deg_s, accel_max_deg_s2 }};
+                const {{ least_s }} = estimate.leastTime(-by, limits, isRest);
+                return [least_s, estimate.farthest(least_s, limits, isRest)];
+              }}));""",
         )  # fmt: skip
         low, high = asked(
             page,
@@ -180,7 +183,8 @@ def test_an_estimate_is_never_more_than_the_least_time(wave, opened):
           const stop = (at_s, deg) => ({ at_s, deg, hold_s: 0.5 });
           return estimate.corridor(limits, stop(0, 0), stop(2, 80), 1);""",
         )
-    for (by, speed, accel), (rest_s, way_s) in zip(cases, found, strict=True):
+    for (by, speed, accel), ((rest_s, far), (way_s, way)) in zip(cases, found, strict=True):
+        assert (far, way) == (pytest.approx(by), pytest.approx(by)), "and how far is its inverse"
         ramp_s = min(speed / accel, (by / accel) ** 0.5)
         covered = accel * ramp_s**2 + speed * (rest_s - 2 * ramp_s)
         assert covered == pytest.approx(by, abs=1e-6)

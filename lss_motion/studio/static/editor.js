@@ -97,6 +97,12 @@ export class Editor {
     this.#edit((view, keys) => scaleOf(view, keys, cursor_s, ratio));
   }
 
+  /** Carry out an edit of the text that is shown. @param {Edit} edit */
+  take(edit) {
+    const { view } = this.store.state.value;
+    this.#edit((now) => (now === view ? edit : null));
+  }
+
   delete() {
     this.#edit((view, keys) => deleteOf(view, keys, this.store.state.value.ripple));
     this.choose([]);
@@ -187,11 +193,17 @@ export class Editor {
    * Return what moving the chosen keys would do, or null where that is not known now.
    * @param {{ by_s: number, by_deg: number }} by @returns {Promise<import("./state.js").Tried | null>}
    */
-  async tried(by) {
-    const { document: own, view, ripple } = this.store.state.value;
-    const edit = view === null || !this.#isShown ? null : moveOf(view, this.keys, { ...by, ripple });
-    if (edit === null || own === null) return null;
-    const { revision } = own;
+  async triedMove(by) {
+    const { view, ripple } = this.store.state.value;
+    const edit = view === null ? null : moveOf(view, this.keys, { ...by, ripple });
+    return edit === null ? null : this.tried(edit);
+  }
+
+  /** Return what an edit of the text that is shown would do, or null where that is not known now.
+   * @param {Edit} edit @returns {Promise<import("./state.js").Tried | null>} */
+  async tried(edit) {
+    const revision = this.store.state.value.document?.revision;
+    if (!this.#isShown) return null;
     try {
       await this.link.send("edit.try", { revision, edit: { op: edit.op, revision, ...edit.fields } });
       return this.store.tried.value;

@@ -1,12 +1,13 @@
 // @ts-check
 /** What is chosen on the timeline, in words and fields: a key, a span, or the whole plan. */
 
-import { html } from "../vendor/preact.js";
+import { html, useEffect, useState } from "../vendor/preact.js";
 import { angleAt, valueAt } from "../curves.js";
 import { EASES } from "../edits.js";
 import { number } from "../numbers.js";
 import { Choice } from "../parts/choice.js";
 import { FileLine, whyNoPlan } from "../parts/text.js";
+import { lateOf, repairsOf, slackOf } from "../repairs.js";
 import { wholeKeys } from "../timeline/keys.js";
 import { timeText } from "../timeline/window.js";
 import { PoseSliders } from "./pose.js";
@@ -66,7 +67,48 @@ function AboutKey({ state, view, own, lane, actions }) {
     </div>
     <div class="choices">ease <${Choice} label="ease" options=${EASES.map((ease) => [ease, ease])} chosen=${own.ease}
       choose=${(/** @type {string} */ ease) => editor.set({ values: { ease } })} /></div>
+    <${Spare} view=${view} own=${refOf(state)} />
+    <${Repairs} ...${{ state, view, actions, own: refOf(state) }} />
     <${Limits} state=${state} view=${view} joints=${Object.keys(own.deg)} />`;
+}
+
+/** The key that is chosen, for those who show one. @param {State} state @returns {import("../state.js").KeyRef} */
+function refOf(state) {
+  const keys = state.selection?.kind === "keys" ? state.selection.keys : [];
+  return keys[0] ?? { lane: -1, key: -1, joint: null };
+}
+
+/** How much time a key has to spare. @param {{ view: View, own: import("../state.js").KeyRef }} props */
+function Spare({ view, own }) {
+  const { before_s, after_s } = slackOf(view, own);
+  const texts = [before_s === null ? "" : `${before_s.toFixed(2)} s before`, after_s === null ? "" : `${after_s.toFixed(2)} s after`].filter(Boolean);
+  return texts.length === 0 ? null : html`<p class="muted" data-spare>to spare at most ${texts.join(", ")} (estimate)</p>`;
+}
+
+/** What would bring a late key in time, as the planner has found. @param {{ state: State, view: View, actions: Actions, own: import("../state.js").KeyRef }} props */
+function Repairs({ state, view, actions, own }) {
+  const [found, setFound] = useState(/** @type {import("../repairs.js").Repair[] | null} */ (null));
+  const name = `${own.lane} ${own.key}`;
+  useEffect(() => {
+    let isOver = false;
+    setFound(null);
+    const look = async () => {
+      /** @type {import("../repairs.js").Repair[]} */
+      const good = [];
+      for (const repair of state.drafts > 0 ? [] : repairsOf(view, own)) {
+        const tried = await actions.editor.tried(repair.edit);
+        if (isOver) return;
+        if (tried?.window != null && tried.window.slow.length === 0 && !tried.window.keys.some((key) => key.is_missed)) good.push(repair);
+      }
+      setFound(good);
+    };
+    void look();
+    return () => void (isOver = true);
+  }, [view, name, state.drafts > 0]);
+  if (lateOf(view, own) === 0 || found === null) return null;
+  if (found.length === 0) return html`<p class="muted">No small change was found that brings it in time.</p>`;
+  return html`<div class="repairs" role="group" aria-label="What brings it in time">in time with:
+    ${found.map((repair) => html`<button type="button" key=${repair.text} onClick=${() => actions.editor.take(repair.edit)}>${repair.text}</button>`)}</div>`;
 }
 
 /** Of several keys: how many, and what is done with all of them. @param {{ state: State, view: View, actions: Actions, count: number }} props */

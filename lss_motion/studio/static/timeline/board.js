@@ -258,7 +258,7 @@ export class TimelineBoard {
     const name = draftName(draft);
     if (this.#isTrying || name === this.#trial.name || draft.keys.length > TRIED_MAX) return;
     this.#isTrying = true;
-    const tried = await this.#editor.tried(draft);
+    const tried = await this.#editor.triedMove(draft);
     this.#isTrying = false;
     this.#trial = { name, tried };
     if (this.#gesture.kind === "keys") this.#redraw();

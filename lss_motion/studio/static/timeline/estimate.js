@@ -24,6 +24,14 @@ export function leastTime(by_deg, limits, isRest) {
   return { least_s: size_deg / speed + speed / accel, limit: "speed" };
 }
 
+/** Return how far a joint gets in a time at most: what `leastTime` takes that long for.
+ * @param {number} time_s @param {Limits} limits @param {boolean} isRest */
+export function farthest(time_s, { speed_max_deg_s: speed, accel_max_deg_s2: accel }, isRest) {
+  const own_s = Math.max(time_s, 0);
+  if (!isRest) return own_s * speed;
+  return own_s < (2 * speed) / accel ? (accel * own_s * own_s) / 4 : speed * (own_s - speed / accel);
+}
+
 /**
  * Return by how much a key or the one after it is late at least, or null. There are two keys to
  * each side, or the joint has no more. @param {Stop[]} stops in order of time @param {number} index
@@ -46,7 +54,7 @@ export function latenessAt(stops, index, limits) {
 
 /** Whether a joint rests at a key: it is held, turns round there, or is the first or last.
  * @param {Stop[]} stops @param {number} index */
-function rests(stops, index) {
+export function rests(stops, index) {
   const [before, own, after] = [stops[index - 1], stops[index], stops[index + 1]];
   if (before === undefined || own === undefined || after === undefined || own.hold_s > 0) return true;
   return (own.deg - before.deg) * (after.deg - own.deg) <= 0;
