@@ -49,6 +49,10 @@ class MissedAnchorError(PlanningError):
         self.late_s = late_s
 
 
+class MissedUnderLayersError(PlanningError):
+    """An anchor is late because of layers: there is no key that alone could have more time."""
+
+
 def slow_spans(
     task: RateTask,
     joints: Sequence[str],

@@ -486,9 +486,9 @@ def _check_anchors(trajectory: Trajectory, show: Sequence) -> None:
         late_s = mark.planned_s - mark.authored_s
         if abs(late_s) > explain.ANCHOR_TOLERANCE_S:
             name = f" {mark.label!r}" if mark.label else ""
-            raise PlanningError(
+            raise explain.MissedUnderLayersError(
                 f"{place}anchor{name} at {mark.authored_s:g} s cannot be met with the layers, it "
-                f"would be {late_s:.3f} s late; lower a weight, or fade longer",
+                f"would be {late_s:.3f} s late",
                 time_s=mark.authored_s,
             )
 

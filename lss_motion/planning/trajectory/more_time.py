@@ -1,4 +1,8 @@
-"""How much more time anchors need that cannot be met: found by planning with it."""
+"""How much more time anchors need that cannot be met: found by planning with it.
+
+Before a keyframe (`planned_or_advised`), or where layers make them late for the whole show
+(`planned_or_slower`).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.errors import PlanningError
-from lss_motion.planning.trajectory.explain import MissedAnchorError
+from lss_motion.planning.trajectory.explain import MissedAnchorError, MissedUnderLayersError
+from lss_motion.show.keyframes import at_speed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -25,6 +30,54 @@ GROWTH: Final = 0.1
 
 UNIT_S: Final = 0.001
 """Times are given in whole milliseconds."""
+
+
+SPEEDS: Final = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
+"""Shares of the speed that are tried, until anchors are met; then hundredths above that one."""
+
+
+def planned_or_slower(sequence: Sequence, plan: Callable[[Sequence], Trajectory]) -> Trajectory:
+    """Return the plan of a whole show at its speed.
+
+    Raises `PlanningError` with a speed that suffices where layers make anchors late.
+    """
+    try:
+        return plan(at_speed(sequence))
+    except MissedUnderLayersError as error:
+        ratio = _slow_enough(sequence, plan)
+        slower = "" if ratio is None else f"write `speed_ratio: {ratio:g}`, "
+        raise PlanningError(
+            f"{error.reason}; {slower}lower a weight, or fade longer",
+            joint=error.joint,
+            time_s=error.time_s,
+        ) from error
+
+
+def _slow_enough(sequence: Sequence, plan: Callable[[Sequence], Trajectory]) -> float | None:
+    """Return the largest speed, in hundredths, that was planned with; None if there is none."""
+
+    def is_met(percent: int) -> bool:
+        slower = replace(sequence, speed_ratio=percent / 100.0)
+        try:
+            plan(at_speed(slower))
+        except PlanningError:
+            return False
+        return True
+
+    percents = [math.floor(100.0 * share * sequence.speed_ratio) for share in SPEEDS]
+    high = math.ceil(100.0 * sequence.speed_ratio)
+    for low in percents:
+        if low < 1:
+            return None
+        if is_met(low):
+            break
+        high = low
+    else:
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if is_met(middle) else (low, middle)
+    return low / 100.0
 
 
 def planned_or_advised(

@@ -7,6 +7,7 @@ The modules that make plans are imported only when a plan is made.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from msgspec.structs import replace
 
@@ -16,7 +17,6 @@ from lss_motion.planning.trajectory.keys import merged
 from lss_motion.planning.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
 from lss_motion.planning.trajectory.playlist import planned_cues
 from lss_motion.robot.model import Robot
-from lss_motion.show.keyframes import at_speed
 from lss_motion.show.model import Interpolation, Sequence, Timing
 
 
@@ -28,7 +28,9 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
     a spline that leaves a joint's range.
     """
     _check_limits(robot)
-    trajectory = _planned(at_speed(sequence), robot)
+    from lss_motion.planning.trajectory.more_time import planned_or_slower
+
+    trajectory = planned_or_slower(sequence, partial(_planned, robot=robot))
     return replace(trajectory, on_fault=sequence.on_fault) if sequence.on_fault else trajectory
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -114,8 +115,22 @@ def test_a_layer_that_makes_an_anchor_late_is_refused(make_robot, frame):
     frames = list(base_show(frame).keyframes)
     frames[1] = frame(4.0, base=60.0, elbow=0.0, anchor=True, label="beat")
     top = layer_of(shake, "base", mode="add", from_s=2.8)
-    with pytest.raises(PlanningError, match=r"anchor 'beat' at 4 s cannot be met with the layers"):
-        plan(show(*frames, layers=(top,)), make_robot(speed=75.0, accel=700.0))
+    late, robot = show(*frames, layers=(top,)), make_robot(speed=75.0, accel=700.0)
+    words = (
+        r"anchor 'beat' at 4 s cannot be met with the layers, .* late; write `speed_ratio: (.*?)`"
+    )
+    with pytest.raises(PlanningError, match=words) as caught:
+        plan(late, robot)
+    ratio = float(re.search(words, str(caught.value))[1])
+    for speed_ratio in (ratio, 0.7 * ratio):
+        (beat,) = [
+            mark
+            for mark in plan(replace(late, speed_ratio=speed_ratio), robot).marks
+            if mark.label == "beat"
+        ]
+        assert beat.planned_s == pytest.approx(4.0 / speed_ratio, abs=1e-3)
+    with pytest.raises(PlanningError, match=r"late; write"):
+        plan(replace(late, speed_ratio=ratio + 0.01), robot)
 
 
 @pytest.mark.parametrize("fade_s", [0.0, 0.5])
