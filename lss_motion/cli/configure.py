@@ -105,7 +105,7 @@ def _configure(arguments: argparse.Namespace) -> int:
 
     robot = None
     if arguments.robot is not None:
-        robot = robot_at(arguments.robot, arguments.port)
+        robot = robot_at(arguments.robot, arguments.port).servo_robot
     _check(arguments, robot)
     buses = {"main": _bus(arguments)} if robot is None else robot.buses
     with connect(buses, robot=robot) as connection:

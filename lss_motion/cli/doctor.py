@@ -87,7 +87,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
     if arguments.stage is not None:
         return _stage(arguments)
     if arguments.robot is not None:
-        robot = robot_at(arguments.robot, arguments.port)
+        robot = robot_at(arguments.robot, arguments.port).servo_robot
     elif arguments.port is not None:
         raise InputError("--port is the port of a ROBOT; give its file")
     findings = [*examine(), _sound(arguments.tone)]

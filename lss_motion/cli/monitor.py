@@ -98,7 +98,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
     require_outputs(outputs, sources=[arguments.robot], is_forced=arguments.force)
     robot = None
     if arguments.robot is not None:
-        robot = robot_at(arguments.robot, arguments.port)
+        robot = robot_at(arguments.robot, arguments.port).servo_robot
     main = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=370)
     buses = {"main": main} if robot is None else robot.buses
     alarms = Alarms(

@@ -474,7 +474,7 @@ def _again(log: Log) -> int:
         is_following=played.is_following,
         read_robot=lambda path: with_limits(load_robot(path), played.limits),
     )
-    robot = with_port(show.robot, played.port)  # A simulated robot is asked for less.
+    robot = with_port(show.robot.servo_robot, played.port)  # A simulated robot is asked for less.
     player = Player(
         Repertoire.single(show.program, robot),
         robot,

@@ -75,7 +75,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     )
     robot = None
     if arguments.robot is not None:
-        robot = robot_at(arguments.robot, arguments.port)
+        robot = robot_at(arguments.robot, arguments.port).servo_robot
     buses = {"main": _bus(arguments.port)} if robot is None else robot.buses
     if arguments.output is not None and len(buses) > 1:
         raise InputError(

@@ -223,7 +223,7 @@ def _robot(arguments: argparse.Namespace) -> Robot | None:
         if arguments.port is None or arguments.port.startswith("sim://"):
             raise InputError("give --port, or --robot with the servos that are simulated")
         return None
-    return robot_at(arguments.robot, arguments.port)
+    return robot_at(arguments.robot, arguments.port).servo_robot
 
 
 def _command(arguments: argparse.Namespace, servo: _AskedServo) -> Command:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +17,10 @@ from lss_motion.robot.on_fault import Cause, FaultStep
 from tests.unit.robot.test_mechanisms import HEAD, eyes_csv
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from lss_motion.planning.shows import Show
     from lss_motion.playing.run import Result
 
+ROOT = Path(__file__).resolve().parents[2]
 JOINTS = ["turret", "jaw", "lid", "tilt", "roll", "arm", "yaw", "pitch"]
 FRAMES = [
     {"at_s": 0, "deg": dict.fromkeys(JOINTS, 0)},
@@ -78,6 +78,9 @@ def test_servos_of_one_joint_get_their_moves_together_and_hardly_fight(show: Sho
         assert other.target_wire == 4 - one.target_wire
     bound = show.program.fight_deg["shoulder"]
     result = played(show)
+    fight = result.report.fights["shoulder"]
+    assert fight.measured_max_deg <= fight.bound_deg + 0.3
+    assert not [text for text in result.report.warnings if "work against each other" in text]
     assert result.truth is not None
     names = list(result.truth.joints)
     both = [names.index(f"servo:shoulder.{name}") for name in ("front", "back")]
@@ -149,3 +152,31 @@ def test_an_endless_show(tmp_path: Path) -> None:
     show = prepared(tmp_path, loop="forever")
     assert show.program.repeat is not None
     shows.recheck(show)
+
+
+def test_the_head_of_the_examples_moves_rc_servos_through_four_bars() -> None:
+    path = ROOT / "sequences/head.yaml"
+    show = shows.prepare(path, None)
+    result = perform(show.program, show.robot, is_virtual=True, seed=2, trajectory=show.trajectory)
+    assert result.report.outcome == "finished"
+    joints = result.report.joints
+    assert list(joints) == list(show.robot.joints)
+    for name in ("pan", "tilt", "roll", "jaw"):
+        assert joints[name].horn_error_rms_deg is not None
+        assert joints[name].horn_error_rms_deg < 0.2, name
+    # Whole degrees of an RC servo are less than one of the lid.
+    assert joints["left_lid"].horn_error_rms_deg is not None
+    assert joints["left_lid"].horn_error_rms_deg < 0.5
+
+
+def test_what_does_not_know_mechanisms_refuses_such_a_robot_before_it_sends(tmp_path: Path) -> None:
+    from lss_motion.errors import InputError
+    from lss_motion.playing.connection import connect
+    from lss_motion.playing.player.player import Player
+    from lss_motion.playing.player.repertoire import Repertoire
+
+    show = prepared(tmp_path)
+    with pytest.raises(InputError, match="nothing was sent to a servo"):
+        connect(show.robot.buses, robot=show.robot)
+    with pytest.raises(InputError, match="nothing was sent to a servo"):
+        Player(Repertoire.single(show.program, show.robot.servo_robot), show.robot)

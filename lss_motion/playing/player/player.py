@@ -86,6 +86,7 @@ class Player:
         moves before `go`. `is_forced`: play without feedback also where servos store higher limits
         than their joints have.
         """
+        robot.require_servos("a player")
         if first is not None:
             repertoire.require(first)
         needs = repertoire.needs(first)

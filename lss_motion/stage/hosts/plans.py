@@ -50,7 +50,7 @@ def robot_hash(robot: Robot) -> str:
     """
     from lss_motion.robot.learnt import settings_hash
 
-    told = {
+    told: dict[str, object] = {
         "name": robot.name,
         "joints": [[name, settings_hash(joint)] for name, joint in sorted(robot.joints.items())],
         "buses": [
@@ -62,6 +62,9 @@ def robot_hash(robot: Robot) -> str:
         ),
         "drives": [[name, str(joint.drive)] for name, joint in sorted(robot.joints.items())],
     }
+    if robot.servos:
+        told["servos"] = robot_hash(robot.servo_robot)
+        told["mechanisms"] = [repr(one) for one in robot.mechanisms.values()]
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 
