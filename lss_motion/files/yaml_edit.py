@@ -22,7 +22,7 @@ from lss_motion.files.yaml_text import WrittenValue, entry_text, flow_text, item
 from lss_motion.files.yaml_tree import Node, YamlEntry, repeated, tree_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from lss_motion.files.yaml_source import Location, YamlSource
@@ -194,18 +194,24 @@ class Rename(Struct, frozen=True):
 Edit = SetValues | Insert | Remove | Reorder | Rename
 
 
-def edited(path: Path, text: str, edits: Iterable[Edit]) -> str:
+def edited(
+    path: Path,
+    text: str,
+    edits: Iterable[Edit],
+    read: Callable[[str, Path], YamlSource] = parse_yaml,
+) -> str:
     """Return the text after the edits; raises `InputError` with the line for what is refused.
 
-    The new text has the intended value, and no mistake that the old one did not have.
+    The new text has the intended value, and no mistake that the old one did not have. `read` is
+    `parse_yaml`, or one that remembers what it has read.
     """
-    source = parse_yaml(text, path)
+    source = read(text, path)
     intended = copy.deepcopy(source.value)
     for edit in edits:
         _on_value(path, edit, intended)
         page = Page(path, text)
         text = page.spliced(edit.splices(page))
-    _require(path, source, intended, text)
+    _require(path, source, intended, text, read)
     return text
 
 
@@ -469,11 +475,17 @@ def _on_value(path: Path, edit: Edit, value: Any) -> None:  # noqa: ANN401
         raise InputError("there is no such place in this file", path=path) from None
 
 
-def _require(path: Path, before: YamlSource, intended: object, text: str) -> None:
+def _require(
+    path: Path,
+    before: YamlSource,
+    intended: object,
+    text: str,
+    read: Callable[[str, Path], YamlSource],
+) -> None:
     """Refuse a text that is not the intended value."""
     by_hand = "this text is written in a way that cannot be changed here; edit its text"
     try:
-        made = parse_yaml(text, path)
+        made = read(text, path)
     except InputError as error:
         raise InputError(f"{by_hand} ({error.reason})", path=path, line=error.line) from None
     if not is_same(made.value, intended):

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.file import JointEntry, MechanismEntry
     from lss_motion.robot.linkage_file import LinkageEntry
     from lss_motion.robot.mechanism import Mechanism
-    from lss_motion.robot.model import Joint
+    from lss_motion.robot.model import Joint, Robot
 
     FloatArray = NDArray[np.float64]
     Note = Callable[[tuple[str, ...], str], None]
@@ -58,6 +58,8 @@ NOISE_RATIO: Final = 0.03
 OFFERS_DEG: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 """Values of smooth_deg that are tried for an offer."""
 EDGE_DEG: Final = 1e-6
+TABLE_PLACES: Final = 33
+"""Angles of a joint at which its limits are told. Chosen: three degrees apart in a quarter turn."""
 """A table covers a range that is larger by less: rounding."""
 LIMIT_PLACES: Final = 21
 """Places along each joint at which the largest slopes of a transmission are looked for."""
@@ -415,6 +417,37 @@ def places_of(joints: Sequence[Joint], count: int = LIMIT_PLACES) -> FloatArray:
     """Return places all over the ranges of joints, corners included, (n, joints)."""
     axes = [np.linspace(j.position_min_deg, j.position_max_deg, count) for j in joints]
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def limits_along(robot: Robot, name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return angles over the range of a joint, with the speed and acceleration it may have there.
+
+    They are those of the joint, or less where a servo behind it allows less; of joints that share
+    servos, while the others stand, wherever they do.
+    """
+    joint = robot.joints[name]
+    mechanism = next((one for one in robot.mechanisms.values() if name in one.joints), None)
+    is_even = mechanism is None or mechanism.is_scaled
+    count = 2 if is_even else TABLE_PLACES
+    deg = np.linspace(joint.position_min_deg, joint.position_max_deg, count)
+    speed = np.full(count, float(joint.speed_max_deg_s))
+    accel = np.full(count, float(joint.accel_max_deg_s2))
+    if mechanism is None or is_even:
+        return deg, speed, accel
+    column = mechanism.joints.index(name)
+    others = [robot.joints[one] for one in mechanism.joints if one != name]
+    rest = places_of(others) if others else np.zeros((1, 0))
+    places = np.insert(np.tile(rest, (count, 1)), column, np.repeat(deg, len(rest)), axis=1)
+    gain = np.abs(mechanism.transmission.slopes(places)[:, :, column]).reshape(count, -1)
+    gain = np.maximum(gain, SLOPE_MIN)
+    servos = [robot.servos[one] for one in mechanism.servos]
+    for limits, of in (
+        (speed, [servo.speed_max_deg_s for servo in servos]),
+        (accel, [servo.accel_max_deg_s2 for servo in servos]),
+    ):
+        allowed = np.tile(of, gain.shape[1] // len(servos)) / gain
+        np.minimum(limits, allowed.min(axis=1), out=limits)
+    return deg, speed, accel
 
 
 def reach_deg(mechanism: Mechanism, joints: Sequence[Joint]) -> list[tuple[float, float]]:

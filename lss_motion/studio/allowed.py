@@ -46,12 +46,18 @@ class ReadText(Struct, frozen=True):
     """Each reason with its line."""
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
+def remembered(text: str, path: Path) -> YamlSource:
+    """Return what a text holds, as `parse_yaml`; callers do not change it."""
+    return parse_yaml(text, path)
+
+
+@lru_cache(maxsize=8)
 def read(path: Path, text: str) -> ReadText:
     """Return what a text holds; raises `InputError` where it is no YAML."""
     from lss_motion.files.validation import validate
 
-    source = parse_yaml(text, path)
+    source = remembered(text, path)
     model = _model(source.value)
     problems = list(source.problems) if model is None else validate(model, source)[1]
     return ReadText(source, {one.reason: source.line(one.location) for one in problems})

@@ -314,6 +314,8 @@ class Desk:
         assert self.document is not None
         reply = self.document.newest
         path = reply.robot_path
+        if path is not None:
+            self.document.expect_change(path)
         if path is not None and file_digest(path) != reply.robot_digest:
             raise InputError("has just changed on disk; look at it, then save again", path=path)
 

@@ -277,6 +277,14 @@ class Document:
         self._require_yaml(path, name)
         return path, self._drafts.open(path)
 
+    def expect_change(self, path: Path) -> None:
+        """Let the next change of a file on disk, by a process of ours, be a step of undo."""
+        full = path.resolve()
+        if full.is_relative_to(self.folder):
+            self._drafts.open(full)
+            if any(draft.path == full for draft in self._drafts.unsaved()):
+                raise InputError("has edits that are not saved; save or undo them first", path=path)
+
     def text(self, path: Path) -> str:
         """Return the text of a file as it is edited, by its full path."""
         return self._drafts.text(path)

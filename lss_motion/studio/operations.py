@@ -18,7 +18,7 @@ from lss_motion.files.yaml_edit import (
 )
 from lss_motion.playing.remote import edit_messages as m
 from lss_motion.show import key_edit
-from lss_motion.studio.allowed import read, require_plain
+from lss_motion.studio.allowed import read, remembered, require_plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -47,7 +47,7 @@ def new_texts(
         path, text = text_of(operation.file)
         return {path: (text, _with_lines(operation, text))}
     return {
-        path: (text, edited(path, text, edits))
+        path: (text, edited(path, text, edits, remembered))
         for path, text, edits in _edits(operation, text_of, poses)
     }
 

@@ -23,6 +23,7 @@ from lss_motion.planning.program.verify import driven, profiles
 from lss_motion.planning.trajectory.model import LoopedSpan, PathMotion
 from lss_motion.planning.trajectory.playlist import PlayListPass, all_cues, all_marks
 from lss_motion.planning.trajectory.tracks import ParallelPass
+from lss_motion.robot.mechanisms import limits_along
 from lss_motion.robot.profile import profile_lead_s
 from lss_motion.studio.view_curves import (
     ACCEL_RATIO,
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.shows import Show
     from lss_motion.planning.trajectory.model import Mark, Pass, Trajectory
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.model import Robot
     from lss_motion.show.model import Cue, Keyframe, Layer, Sequence
 
     FloatArray = NDArray[np.float64]
@@ -102,7 +103,7 @@ def view_of(show: Show, plan: str, peaks_of: PeaksOf | None = None) -> dict[str,
         "is_endless": program.is_endless,
         "repeat": window.repeat,
         "tolerance_deg": program.tolerance_deg,
-        "joints": [_joint(robot.joints[name], program) for name in trajectory.joints],
+        "joints": [_joint(robot, name, program) for name in trajectory.joints],
         "lanes": lanes,
         "parts": window.spans(_parts(trajectory)),
         "events": _events(trajectory, program, window),
@@ -569,7 +570,9 @@ def _largest_error(motion: Curve, horn: Curve) -> dict[str, float]:
 # ------------------------------------------------------------ joints, events, line, sound
 
 
-def _joint(joint: Joint, program: Program) -> dict[str, Any]:
+def _joint(robot: Robot, name: str, program: Program) -> dict[str, Any]:
+    joint = robot.joints[name]
+    deg, speed_deg_s, accel_deg_s2 = limits_along(robot, name)
     return {
         "name": joint.name,
         "id": joint.servo_id,
@@ -578,6 +581,11 @@ def _joint(joint: Joint, program: Program) -> dict[str, Any]:
         "range_deg": [joint.position_min_deg, joint.position_max_deg],
         "speed_max_deg_s": joint.speed_max_deg_s,
         "accel_max_deg_s2": joint.accel_max_deg_s2,
+        "limits": {
+            "deg": deg.tolist(),
+            "speed_deg_s": speed_deg_s.tolist(),
+            "accel_deg_s2": accel_deg_s2.tolist(),
+        },
         "drive": program.drives[joint.name].drive if joint.name in program.drives else "timed",
         "temperature_max_c": joint.temperature_max_c,
         "voltage_min_v": joint.voltage_min_v,

@@ -304,3 +304,33 @@ def test_strangers_of_the_network_leave_a_stop_what_it_needs(studio, tmp_path, m
         server.ended()
     assert "Traceback" not in server.errors
     assert len(server.errors.splitlines()) < 10, server.errors
+
+
+def test_edits_outlive_a_server_that_is_killed(studio, tmp_path, monkeypatch):
+    """What a client was told is accepted comes back, and is written when it is saved."""
+    monkeypatch.chdir(tmp_path)
+    server, addresses = studio()
+    browser = SocketBrowser(addresses)
+    revision = browser.wait("document", is_current=True)["revision"]
+    key = {"file": "swing.yaml", "place": ["keyframes", 1]}
+    browser.send("key.move", revision=revision, keys=[key], by_s=0.25)
+    event = browser.wait("document", revision=revision + 1)
+    assert event["editing"]["unsaved"] == ["swing.yaml"]
+    plan = browser.wait("document", is_current=True)["plan"]
+    kept = tmp_path / ".swing.yaml.unsaved"
+    until(kept.exists)
+    os.kill(server.pid, signal.SIGKILL)
+    server.wait()
+    assert (tmp_path / "swing.yaml").read_text() == SHOW
+    server, addresses = studio()
+    browser = SocketBrowser(addresses)
+    event = browser.wait("document", is_current=True)
+    assert event["editing"]["recovered"] == ["swing.yaml"]
+    assert event["plan"] == plan
+    trial = {"op": "key.set", "revision": event["revision"], "keys": [key], "deg": {"a": 40}}
+    number = browser.send("edit.try", revision=event["revision"], edit=trial)
+    assert browser.wait("tried")["id"] == number
+    browser.send("save", revision=event["revision"])
+    browser.wait("accepted", op="save")
+    assert (tmp_path / "swing.yaml").read_text() == SHOW.replace("at_s: 1,", "at_s: 1.25,")
+    assert not kept.exists()

@@ -10,6 +10,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.planning.summaries import robot_lines
 from lss_motion.robot.load import load_robot
+from lss_motion.robot.mechanisms import limits_along, places_of
 from lss_motion.robot.model import NO_SERVO
 from lss_motion.robot.transmission import FourBar, Grid, Linear, LinkageCurve
 
@@ -239,3 +240,26 @@ def test_a_measured_grid_that_is_wrong(head: Path, change, reason: str) -> None:
         load_robot(head)
     assert reason in str(caught.value)
     assert caught.value.line == 15
+
+
+@pytest.mark.parametrize("name", ["turret", "jaw", "lid", "tilt", "arm", "yaw"])
+def test_the_limits_along_a_joint_are_those_of_its_servos_there(head: Path, name: str) -> None:
+    """At them no servo exceeds its own, wherever the other joints stand, and one is at its own."""
+    robot = load_robot(head)
+    deg, speed, accel = limits_along(robot, name)
+    joint = robot.joints[name]
+    assert (deg[0], deg[-1]) == (joint.position_min_deg, joint.position_max_deg)
+    (mechanism,) = [one for one in robot.mechanisms.values() if name in one.joints]
+    servos = [robot.servos[one] for one in mechanism.servos]
+    column = mechanism.joints.index(name)
+    others = [robot.joints[one] for one in mechanism.joints]
+    for at_deg, speed_deg_s, accel_deg_s2 in zip(deg, speed, accel, strict=True):
+        places = places_of(others)
+        places[:, column] = at_deg
+        gains = np.abs(mechanism.transmission.slopes(places)[:, :, column]).max(axis=0)
+        for limit, own, allowed in (
+            (speed_deg_s, joint.speed_max_deg_s, [one.speed_max_deg_s for one in servos]),
+            (accel_deg_s2, joint.accel_max_deg_s2, [one.accel_max_deg_s2 for one in servos]),
+        ):
+            least = min([own, *(most / gain for most, gain in zip(allowed, gains, strict=True))])
+            assert limit == pytest.approx(least, rel=1e-9)

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from lss_motion.errors import InputError
 from lss_motion.files.source import bounded_data
 from lss_motion.playing.remote import schema as m
+from lss_motion.robot.write import write_pose
 from lss_motion.studio.access import Role
 from lss_motion.studio.document import Document
 from lss_motion.studio.drafts import recovery_path
@@ -500,3 +502,17 @@ def test_the_model_is_what_the_files_hold_now(server):
     assert sorted(model["files"]) == ["arm.yaml", "nod.yaml", "swing.yaml"]
     (own,) = model["files"]["swing.yaml"]["lists"]
     assert own == {"place": ("keyframes",), "times_s": [0.0, 1.5, 2.0], "lines": [5, 6, 7]}
+
+
+def test_a_pose_that_is_saved_from_the_robot_is_a_step_of_undo(server, folder):
+    client = server.join()
+    server.document.expect_change(folder / "arm.yaml")
+    write_pose(folder / "arm.yaml", "down", {"a": -20.0})
+    server.document.look()
+    assert "down: {a: -20}" in server.text("arm.yaml")
+    assert server.send(client, "undo") is None
+    assert server.editing.unsaved == ("arm.yaml",)
+    with pytest.raises(InputError, match="not saved"):
+        server.document.expect_change(folder / "arm.yaml")
+    assert server.send(client, "save") is None
+    assert (folder / "arm.yaml").read_text() == ROBOT
