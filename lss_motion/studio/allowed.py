@@ -34,7 +34,7 @@ BY_JOINT: Final = frozenset({"deg", "led", "poses", "mouth", "joints_deg"})
 """Keys whose mappings have names of joints or poses, which may be called `run`."""
 WORDS: Final = frozenset({"say", "label", "sequence", "gait", "stage", "title", "notes"})
 """Keys whose text is for people; any other text may be the name of a file."""
-LEAST_COUNT: Final = 200_000
+VALUES_MAX: Final = 200_000
 """Values of one message. Chosen: 10,000 keyframes of 20 joints."""
 
 
@@ -112,8 +112,8 @@ def require_plain(value: object) -> None:
         count += 1
         if depth > DEPTH_MAX:
             raise InputError(f"nested more than {DEPTH_MAX} deep")
-        if count > LEAST_COUNT:
-            raise InputError(f"more than {counted(LEAST_COUNT, 'value')}")
+        if count > VALUES_MAX:
+            raise InputError(f"more than {counted(VALUES_MAX, 'value')}")
         match one:
             case dict():
                 waiting += [(part, depth + 1) for part in one.values()]

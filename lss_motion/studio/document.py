@@ -147,7 +147,7 @@ class Document:
             self._views[reply.plan] = reply.view
             for old in list(self._views)[:-VIEWS_MAX]:
                 del self._views[old]
-        if not self.runs_stage and self._recover(reply.files):
+        if self._recover(reply.files):
             self._plan()
         else:
             self._changed()
@@ -179,6 +179,10 @@ class Document:
         stamps = (one for one in self._stamps.items() if one[0].resolve() not in self._drafts)
         if is_edited or any(stamp_of(path) != stamp for path, stamp in stamps):
             self._plan()
+
+    def close(self) -> None:
+        """Keep what is not saved, for the next server."""
+        self._drafts.keep()
 
     def _look_at_drafts(self) -> bool:
         """Take what has changed on disk of files without unsaved edits; return whether any has.
@@ -325,6 +329,8 @@ class Document:
 
     def _recover(self, paths: Iterable[Path] = ()) -> bool:
         """Take unsaved edits of before, of the open file or of others; return whether any are."""
+        if self.runs_stage:
+            return False  # What is not saved is not played to an audience.
         inside = [path.resolve() for path in (self.path, *paths)]
         found = {
             path: (before, after)
@@ -332,7 +338,7 @@ class Document:
                 path for path in inside if path.is_relative_to(self.folder)
             )
         }
-        if found and not self.runs_stage:
+        if found:
             self._history.add("edits of before", found)
         return bool(found)
 

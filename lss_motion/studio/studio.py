@@ -165,6 +165,7 @@ class Studio:
 
     def close(self) -> None:
         """End the planner, and leave the stop process to itself."""
+        self.document.close()
         self.planner.close()
         self.stops.close()
 

@@ -11,6 +11,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import bounded_data
+from lss_motion.playing.remote import edit_messages as e
 from lss_motion.playing.remote import schema as m
 from lss_motion.robot.write import write_pose
 from lss_motion.studio.access import Role
@@ -305,6 +306,22 @@ def test_unsaved_edits_come_back_after_a_crash_and_go_when_they_are_saved(server
     assert Server(folder).editing.recovered == ()
 
 
+def test_a_stage_is_never_played_from_what_is_not_saved(server, folder, tmp_path):
+    client = server.join()
+    server.send(client, "key.set", keys=[key(1)], deg={"a": 1})
+    server.document.close()
+    (folder / "night.yaml").write_text("stage: night\nrobot: arm.yaml\nshows: {a: swing.yaml}\n")
+    requests = []
+    request = Request(number=0, path=folder / "night.yaml", views=tmp_path)
+    stage = Document(request, requests.append, lambda: None)
+    stage.take(PlannerReply(number=1, plan="p", files=(folder / "swing.yaml",)))
+    stage.look()
+    assert [one.texts for one in requests] == [{}]
+    with pytest.raises(InputError, match="runs a stage"):
+        stage.edit(e.Undo(revision=stage.revision))
+    assert recovery_path(folder / "swing.yaml").exists()
+
+
 def test_recovered_edits_of_a_file_that_has_changed_since_are_a_difference(server, folder):
     client = server.join()
     server.send(client, "key.set", keys=[key(1)], deg={"a": 1})
@@ -492,6 +509,31 @@ def test_any_edits_and_undos_give_the_bytes_back(server, folder):
     while server.editing.undo:
         assert server.send(client, "undo") is None
     assert server.text() == SHOW[1:]
+
+
+def test_clients_that_know_late_converge(server):
+    """Each edits what it knew last; it is accepted or refused, and all end with one text."""
+    draw = random.Random(3)
+    clients = [server.join() for _ in range(4)]
+    known = {client.number: server.document.revision for client in clients}
+    accepted = 0
+    for number in range(300):
+        client = draw.choice(clients)
+        angle = float(number % 90)
+        before = server.document.revision
+        refused = server.send(
+            client,
+            "key.set",
+            keys=[key(1)],
+            deg={"a": angle},
+            revision=known[client.number],
+        )
+        assert (refused is None) == (known[client.number] == before)
+        accepted += refused is None
+        assert (f"deg: {{a: {angle:g}}}" in server.text()) or refused
+        if draw.random() < 0.5 or refused:
+            known[client.number] = server.document.revision
+    assert 50 < accepted < 300
 
 
 def test_the_model_is_what_the_files_hold_now(server):

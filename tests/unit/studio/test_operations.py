@@ -9,10 +9,12 @@ import msgspec
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.files.yaml_edit import Page
 from lss_motion.files.yaml_source import parse_yaml
 from lss_motion.playing.remote import schema as m
 from lss_motion.show.key_edit import entries_at, lists_of, times_of
 from lss_motion.studio.allowed import require_allowed
+from lss_motion.studio.history import History
 from lss_motion.studio.operations import new_texts
 
 FILE = Path("/show/wave.yaml")
@@ -264,14 +266,18 @@ def random_operation(draw, value):
             }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_any_operations_leave_what_they_do_not_touch(path, newline):
-    """Comments stay, lines that are not asked for stay, and the text says what was asked."""
+    """Comments stay, nothing outside of the list changes, and undo gives each byte back."""
     draw = random.Random(f"{path.name} {newline!r}")
-    text = path.read_text().replace("\n", newline)
-    done = 0
-    for _ in range(60):
+    text = first = f"# äöü 😀\n{path.read_text()}".replace("\n", newline)
+    done, history = 0, History()
+    for _ in range(200):
+        if history.undo_word is not None and draw.random() < 0.3:
+            text = history.undo(lambda _, text=text: text)[path]
+            continue
         value = parse_yaml(text, path).value
         operation = random_operation(draw, value)
         try:
@@ -286,8 +292,13 @@ def test_any_operations_leave_what_they_do_not_touch(path, newline):
         assert ("\r\n" in after) == (newline == "\r\n")
         assert "\n" not in after.replace("\r\n", "") or newline == "\n"
         check_times(operation, value, made)
+        check_span(operation, text, after)
+        history.add("edit", {path: (text, after)})
         text = after
-    assert done > 15
+    assert done > 40
+    while history.undo_word is not None:
+        text = history.undo(lambda _, text=text: text)[path]
+    assert text == first
 
 
 def count_of(value):
@@ -296,6 +307,19 @@ def count_of(value):
 
 def comments_of(text):
     return {line.partition(" # ")[2] for line in text.splitlines() if " # " in line}
+
+
+def check_span(operation, before, after):
+    """Check that only characters of the list of keyframes differ."""
+    place = tuple(operation["keys"][0]["place"])
+    place = place[: place.index("keyframes") + 1]
+    node = Page(FILE, before).node(place)
+    start = before.rfind("\n", 0, node.start) + 1
+    while before[:start].splitlines()[-1].lstrip().startswith("#"):
+        start = before.rfind("\n", 0, start - 1) + 1
+    end = before.find("\n", node.end) + 1 or len(before)
+    assert after.startswith(before[:start])
+    assert after.endswith(before[end:])
 
 
 def check_times(operation, before, after):
