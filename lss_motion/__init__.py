@@ -147,11 +147,37 @@ def __getattr__(name: str) -> object:
     return found
 
 
+_MAKES = {
+    "Program": "compile(trajectory, robot) makes one",
+    "Robot": "load_robot(path) reads one",
+    "Sequence": "load_sequence(path) reads one",
+    "Trajectory": "plan(sequence, robot) makes one",
+}
+
+
+def _require_kinds(
+    function: FunctionType, args: tuple[object, ...], more: dict[str, object]
+) -> None:
+    """Raise `InputError` where one value of ours was given in place of another one."""
+    from inspect import signature
+
+    for name, value in signature(function).bind(*args, **more).arguments.items():
+        kinds = str(function.__annotations__.get(name, "")).split(" | ")
+        if not set(kinds) <= {*_MAKES, "None"} or (value is None and "None" in kinds):
+            continue
+        if not any(one.__name__ in kinds for one in type(value).__mro__):
+            wanted, given = kinds[0], type(value).__name__
+            raise InputError(
+                f"{name}: a {wanted.lower()} is needed here, not a {given}; {_MAKES[wanted]}"
+            )
+
+
 def _with_python_words(function: FunctionType) -> object:
     """Return the function; its errors name arguments of Python where a command has options."""
 
     @wraps(function)
     def call(*args: object, **kwargs: object) -> object:
+        _require_kinds(function, args, kwargs)
         try:
             return function(*args, **kwargs)
         except LssMotionError as error:

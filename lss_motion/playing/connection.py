@@ -54,12 +54,9 @@ PORT_TRY_S: Final = 0.5
 def with_port(robot: Robot, port: str | None) -> Robot:
     """Return the robot with `port` in place of the port of its bus.
 
-    Raises `InputError` for an empty text, for what is no robot, and if the robot has several
-    buses: then the robot file must give the port of each.
+    Raises `InputError` for an empty text, and if the robot has several buses: then the robot file
+    must give the port of each.
     """
-    if not hasattr(robot, "buses"):
-        kind = type(robot).__name__
-        raise InputError(f"a robot is needed here, not a {kind}; load_robot(...) reads one")
     if port is None:
         return robot
     if not port:

@@ -154,7 +154,7 @@ class Live:
             raise InputError("move_to needs at least one joint and its angle")
         if duration_s is not None and not duration_s > 0.0:
             raise InputError(f"duration_s is {duration_s:g}; it must be above 0")
-        targets = {name: float(angle) for name, angle in deg.items()}
+        targets = target_values(deg, self.robot.joints)
         timing = Timing.FASTEST if duration_s is None else Timing.AUTHORED
         check_sequence(Sequence(name="move", keyframes=(Keyframe(deg=targets),)), self.robot)
         joints = [self.robot.joints[name] for name in targets]

@@ -15,6 +15,7 @@ way into jumps that keep its speed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -56,7 +57,7 @@ from lss_motion.units import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
@@ -126,6 +127,8 @@ def live_program(robot: Robot, standing_deg: Mapping[str, float]) -> Program:
 def target_values(deg: Mapping[str, float], known: Iterable[str]) -> dict[str, float]:
     """Return targets as numbers; raises `InputError` for an unknown joint or what is no angle."""
     known, values = list(known), {}
+    if not isinstance(deg, Mapping):
+        raise InputError(f"{deg!r} names no joints; give them with their degrees: {{'elbow': 30}}")
     for name, angle in deg.items():
         if name not in known:
             raise InputError(f"unknown joint {name!r}; {known_names(name, known)}")

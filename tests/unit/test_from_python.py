@@ -217,3 +217,40 @@ def test_the_guide_says_of_every_command_what_there_is_for_it_in_python():
             assert hasattr(lss.Live, name), name
         for name in re.findall(r"`handle\.(\w+)", cell):
             assert hasattr(lss.Handle, name), name
+
+
+def test_one_value_in_place_of_another_is_named(robot, trajectory):
+    program = lss.compile(trajectory, robot)
+    for call, text in (
+        (
+            lambda: lss.plan(str(WAVE), robot),
+            "sequence: a sequence is needed here, not a str; load_sequence(path) reads",
+        ),
+        (lambda: lss.plan(robot, robot), "sequence: a sequence is needed here, not a Robot"),
+        (
+            lambda: lss.compile(program, robot),
+            "trajectory: a trajectory is needed here, not a Program",
+        ),
+        (
+            lambda: lss.play(trajectory, robot),
+            "program: a program is needed here, not a Trajectory; compile(",
+        ),
+        (
+            lambda: lss.start(program, str(ARM)),
+            "robot: a robot is needed here, not a str; load_robot(path)",
+        ),
+        (lambda: lss.connect(None), "robot: a robot is needed here, not a NoneType"),
+    ):
+        with pytest.raises(lss.InputError) as refused:
+            call()
+        assert text in str(refused.value)
+
+
+@pytest.mark.parametrize("wrong", [5, "elbow", ["elbow"]])
+def test_what_names_no_joints_is_refused(robot, wrong):
+    with lss.connect(robot, port="sim://", is_virtual=True) as live:
+        for call in (live.set_target, live.move_to):
+            with pytest.raises(lss.InputError, match="names no joints"):
+                call(wrong)
+        with pytest.raises(lss.InputError, match="is no angle"):
+            live.move_to({"elbow": "x"})

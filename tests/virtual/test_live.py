@@ -103,7 +103,7 @@ def test_an_interrupted_move_ends_safely(robot, monkeypatch):
 def test_what_is_no_robot_or_no_name_is_refused_in_words(robot):
     with pytest.raises(lss.InputError, match="a robot is needed here, not a str"):
         lss.connect("desk_arm.yaml")
-    with pytest.raises(lss.InputError, match="a robot is needed here, not a dict"):
+    with pytest.raises(lss.InputError, match="a program is needed here, not a Robot"):
         lss.start(robot, {})
     with lss.connect(robot, is_virtual=True) as live:
         with pytest.raises(lss.InputError, match="names one by one"):
