@@ -16,6 +16,7 @@ from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 
 from lss_motion.files.texts import counted
+from lss_motion.planning.trajectory.servo_motion import joint_angles
 from lss_motion.playing.connection import SIMULATED, with_port
 from lss_motion.playing.report import planned_horn_deg
 from lss_motion.playing.run import Observer, perform
@@ -226,7 +227,8 @@ class _Run:
         is_played = truth.times_s <= self._until_s
         times_s = np.array(truth.times_s[is_played])
         planned_deg = self._planned_deg(times_s)
-        error_deg = np.abs(np.array(truth.horn_deg[is_played]) - planned_deg)
+        horn_deg = truth.horn_deg[:, : planned_deg.shape[1]]  # Without the servos behind joints.
+        error_deg = np.abs(np.array(horn_deg[is_played]) - planned_deg)
         row, column = np.unravel_index(int(error_deg.argmax()), error_deg.shape)
         standing_deg = error_deg[self._stands(times_s, planned_deg)]
         return replace(
@@ -241,14 +243,18 @@ class _Run:
     def _planned_deg(self, times_s: FloatArray) -> FloatArray:
         """Return the plan, (n, joints); that of a compiled program is what its servos should do."""
         player, trajectory = self._result.player, self._show.trajectory
+        robot = self._show.robot
         assert player.show is not None
         names = list(player.program.start_deg)
         if trajectory is not None:
             planned_deg = trajectory.sample(times_s)
+            if robot.servos:
+                return planned_deg
             return planned_deg[:, [trajectory.joints.index(name) for name in names]]
         states = player.show.joint_states
         columns = [planned_horn_deg(states[name], player.program, times_s) for name in names]
-        return np.stack(columns, axis=1)
+        servo_deg = np.stack(columns, axis=1)
+        return joint_angles(names, servo_deg, robot)[1] if robot.servos else servo_deg
 
     def _stands(self, times_s: FloatArray, planned_deg: FloatArray) -> BoolArray:
         """Return where each joint should stand, (n, joints), unless a hand pushes it."""

@@ -169,13 +169,10 @@ class TruthRecorder:
 
         The columns of the latter are called `servo:NAME`.
         """
-        from lss_motion.planning.trajectory.servo_motion import joint_angles, servo_name
+        from lss_motion.planning.trajectory.servo_motion import joints_and_servos
 
-        names, angles = joint_angles(self._servos, servo_deg, self._figure)
-        behind = {servo for m in self._figure.mechanisms.values() for servo in m.servos}
-        own = [column for column, name in enumerate(self._servos) if name in behind]
-        self._joints = (*names, *(servo_name(self._servos[column]) for column in own))
-        return np.column_stack([angles, servo_deg[:, own]])
+        self._joints, found = joints_and_servos(self._servos, servo_deg, self._figure)
+        return found
 
     def _append(self, times_s: NDArray[np.float64], horn: NDArray[np.float64]) -> None:
         self._keep(np.column_stack([times_s, horn]))

@@ -180,3 +180,15 @@ def test_what_does_not_know_mechanisms_refuses_such_a_robot_before_it_sends(tmp_
         connect(show.robot.buses, robot=show.robot)
     with pytest.raises(InputError, match="nothing was sent to a servo"):
         Player(Repertoire.single(show.program, show.robot.servo_robot), show.robot)
+
+
+def test_worse_robots_are_tried_with_mechanisms_planned_and_compiled(tmp_path: Path) -> None:
+    from lss_motion.playing.robustness import trials
+
+    show = prepared(tmp_path)
+    (tmp_path / "show.lss").write_text(show.program.to_text(), encoding="utf-8")
+    compiled = shows.prepare(tmp_path / "show.lss", None)
+    for one in (show, compiled):
+        (found,) = trials(one, texts=())
+        assert found.max_joint in JOINTS
+        assert found.rms_deg < 0.3

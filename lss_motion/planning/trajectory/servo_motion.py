@@ -131,6 +131,17 @@ def servo_columns(joints: Sequence[str], robot: Robot) -> tuple[ServoColumns, ..
     return tuple(groups)
 
 
+def joints_and_servos(
+    names: Sequence[str], servo_deg: FloatArray, robot: Robot
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the columns of `with_servos` that follow from ideal servos, (n, servos)."""
+    joints, angles = joint_angles(names, servo_deg, robot)
+    behind = {servo for mechanism in robot.mechanisms.values() for servo in mechanism.servos}
+    own = [column for column, name in enumerate(names) if name in behind]
+    found = (*joints, *(servo_name(names[column]) for column in own))
+    return found, np.column_stack([angles, servo_deg[:, own]])
+
+
 def joint_angles(
     names: Sequence[str], servo_deg: FloatArray, robot: Robot
 ) -> tuple[tuple[str, ...], FloatArray]:
