@@ -74,7 +74,7 @@ def random_robot(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     def joint(name: str, **more: Any) -> dict[str, Any]:
         low = -round(rng.uniform(10, 40), 1)
         joints[name] = {
-            "range_deg": [low, low + round(rng.uniform(25, 70), 1)],
+            "range_deg": [low, round(low + rng.uniform(25, 70), 1)],
             "speed_max_deg_s": round(rng.uniform(40, 250), 1),
             "accel_max_deg_s2": round(rng.uniform(150, 1000), 0),
             **more,
@@ -99,7 +99,10 @@ def random_robot(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     mechanisms["neck"] = {
         "kind": "differential",
         "joints": ["tilt", "roll"],
-        "servos": {"left": {"id": 5, **limits()}, "right": {"id": 6, "direction": -1, **limits()}},
+        "servos": {
+            "left": {"id": 5, "turns": "powered", **limits()},
+            "right": {"id": 6, "direction": -1, "turns": "powered", **limits()},
+        },
         "matrix": [
             [round(rng.uniform(0.6, 2.5), 2), round(sign * rng.uniform(0.6, 2.5), 2)],
             [round(rng.uniform(0.6, 2.5), 2), round(-sign * rng.uniform(0.6, 2.5), 2)],
@@ -155,7 +158,7 @@ def random_show(rng: np.random.Generator, content: dict[str, Any], path: Path) -
             deg[name] = round(float(rng.uniform(low, high)), 1)
         frame: dict[str, Any] = {"at_s": round(at_s, 2), "deg": deg}
         if index and rng.random() < 0.3:
-            frame["ease"] = str(rng.choice(["linear", "spline", "smooth"]))
+            frame["ease"] = str(rng.choice(["linear", "smooth"]))
         if rng.random() < 0.2:
             frame["hold_s"] = 0.3
         frames.append(frame)
@@ -232,7 +235,20 @@ def servo_limits(content: dict[str, Any], servo: str) -> tuple[float, float]:
     entry = content["joints"][servo].get("servo", {}) if not short else {}
     if short:
         entry = content["mechanisms"][mechanism]["servos"][short]
-    return entry.get("speed_max_deg_s", 360.0), entry.get("accel_max_deg_s2", 1000.0)
+    # The ramps of a servo have steps of 10 deg/s²; what is between is rounded down.
+    return entry.get("speed_max_deg_s", 360.0), entry.get("accel_max_deg_s2", 1000.0) // 10 * 10
+
+
+def joint_limits(content: dict[str, Any], name: str) -> tuple[float, float]:
+    entry = content["joints"][name]
+    speed, accel = entry["speed_max_deg_s"], entry["accel_max_deg_s2"]
+    if name == "plain":
+        return speed, accel // 10 * 10
+    scale = entry.get("ratio")
+    if name == "arm":
+        scale = content["mechanisms"]["shoulder"].get("ratio", 1.0)
+    # Of a fixed ratio the servo gets no more than its joint needs, in those steps.
+    return speed, accel if scale is None else min(accel, accel * scale // 10 * 10 / scale)
 
 
 def broken(content: dict[str, Any], folder: Path, names: list[str], deg: np.ndarray) -> list[str]:
@@ -244,7 +260,7 @@ def broken(content: dict[str, Any], folder: Path, names: list[str], deg: np.ndar
         low, high = entry["range_deg"]
         if own.min() < low - 1e-6 or own.max() > high + 1e-6:
             rows.append((f"{name} range", own, 0.0, 0.0))
-        rows.append((name, own, entry["speed_max_deg_s"], entry["accel_max_deg_s2"]))
+        rows.append((name, own, *joint_limits(content, name)))
     for servo, own in judged_servos(content, folder, angles).items():
         rows.append((f"servo {servo}", own, *servo_limits(content, servo)))
     found = []
@@ -292,13 +308,8 @@ def over_optimum(content: dict[str, Any], folder: Path, trajectory: Any) -> floa
         return np.column_stack([deg, *own.values()])
 
     own = judged_servos(content, folder, dict(zip(names, path.evaluate(grid_s).T, strict=True)))
-    limits = [
-        *(
-            (content["joints"][n]["speed_max_deg_s"], content["joints"][n]["accel_max_deg_s2"])
-            for n in names
-        ),
-        *(servo_limits(content, servo) for servo in own),
-    ]
+    limits = [joint_limits(content, n) for n in names]
+    limits += [servo_limits(content, servo) for servo in own]
     speed_max, accel_max = np.array(limits).T
     inner_s = np.diff(grid_s) / 8.0
     sides = []

@@ -16,6 +16,7 @@ SEEDS = 8
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
-def test_no_limit_of_joint_or_servo_is_broken(seed: int, tmp_path: Path) -> None:
-    faults, _ = judge(seed, tmp_path)
+def test_no_limit_of_joint_or_servo_is_broken_and_no_time_lost(seed: int, tmp_path: Path) -> None:
+    faults, over_optimum = judge(seed, tmp_path)
     assert not faults
+    assert over_optimum <= 1.02

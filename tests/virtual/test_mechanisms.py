@@ -192,3 +192,24 @@ def test_worse_robots_are_tried_with_mechanisms_planned_and_compiled(tmp_path: P
         (found,) = trials(one, texts=())
         assert found.max_joint in JOINTS
         assert found.rms_deg < 0.3
+
+
+def test_a_process_that_is_steered_refuses_such_a_robot(show: Show) -> None:
+    """Its clients take the names of its events for joints."""
+    from lss_motion.playing.remote.job import Job, play
+
+    class Steering:
+        def __init__(self) -> None:
+            self.ended: list[Any] = []
+
+        def on_event(self, event: Any) -> None: ...
+
+        def on_turn(self, player: Any, now_ns: int) -> None: ...
+
+        def end(self, message: Any) -> None:
+            self.ended.append(message)
+
+    steering: Any = Steering()
+    outcome = play(Job(shows=show.program, robot=show.robot), steering)
+    assert "nothing was sent to a servo" in str(outcome.error)
+    assert steering.ended[0].exit_code == 2

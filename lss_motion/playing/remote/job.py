@@ -107,6 +107,8 @@ def play(job: Job, steering: Steering) -> Outcome:
 
     observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
     try:
+        # Its events name joints, which clients draw in degrees of joints.
+        job.robot.require_servos("the studio, a stage or `lss.start`")
         if isinstance(job.shows, Program):
             if job.follow is not None:
                 require_can_follow(job.shows)
