@@ -22,6 +22,7 @@
 | `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |
 | `replay.py`         | repeats the player's decisions from a log      | `cli.report`             |
 | `report.py`         | the JSON report of a run, or of many shows     | `run`, `cli`             |
+| `report_joints.py`  | the report of servos as that of their joints   | `run`                    |
 | `truth.py`          | what simulated horns did                       | `run`                    |
 | `robustness.py`     | shows played with deviations                   | `cli.planning`           |
 """

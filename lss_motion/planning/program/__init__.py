@@ -5,6 +5,7 @@
              verification, errors
   splice     extensions of a program that is being played            walking
   drives     timed, streamed, stepped: one interface; `drive: auto`  schedule, compile, player
+  mates      servos of one joint get the same moves together         schedule, compile
   schedule   all joints fitted on the lines that they share          compile, splice
   line       slots on one serial line, and their check               schedule, compile
   fit        timed moves of all joints, segment by segment           schedule, drives

@@ -16,6 +16,8 @@
 | `commands.py`   | the ease `command`: what servos do by themselves     | curves, keep_time       |
 | `path.py`       | cubics of all joints over the path position          | all that plan           |
 | `retime.py`     | paths of a sequence, and the clock that follows them | tracks, layers, planner |
+| `servo_rows.py` | servos behind mechanisms along a path                | retime, solver          |
+| `servo_motion.py` | the motion of joints as that of their servos       | program, playing        |
 | `dues.py`       | what the author wants, and how late a motion is      | catch_up, explain       |
 | `free_spans.py` | where the motion may leave the author's curve        | catch_up                |
 | `ahead.py`      | ahead of that curve, on time at the keys             | catch_up                |
