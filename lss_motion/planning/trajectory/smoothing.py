@@ -35,6 +35,7 @@ from lss_motion.planning.trajectory.model import (
     steady_clock,
 )
 from lss_motion.planning.trajectory.retime import FIT_TOLERANCE_S, laid_out, scaled
+from lss_motion.planning.trajectory.servo_rows import with_servo_room
 from lss_motion.planning.trajectory.tracks import planned_layout, planned_track, verified
 from lss_motion.planning.trajectory.verify import RANGE_SLACK_DEG
 from lss_motion.show.model import Timing
@@ -122,12 +123,13 @@ def smooth_track(sequence: Show, robot: Robot) -> Trajectory:
     jerk_max = jerk_limits(sequence, robot, plain.joints)
     if not np.isfinite(jerk_max).any():
         return plain
-    best = _attempt(sequence, robot, plain, jerk_max)
+    roomy = with_servo_room(robot)
+    best = _attempt(sequence, roomy, plain, jerk_max)
     for share in ACCEL_SHARES:
         slower_s = math.inf if isinstance(best, PlanningError) else best.smoothing[0].by_s
         if slower_s <= FIT_TOLERANCE_S:
             break
-        found = _attempt(sequence, _gentler(robot, share), plain, jerk_max)
+        found = _attempt(sequence, _gentler(roomy, share), plain, jerk_max)
         if isinstance(found, PlanningError) or found.smoothing[0].by_s >= slower_s:
             break
         best = found

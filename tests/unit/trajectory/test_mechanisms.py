@@ -146,3 +146,17 @@ def test_layers_keep_the_limits_of_servos(tmp_path: Path) -> None:
     trajectory = plan(load_sequence(tmp_path / "show.yaml"), robot)
     verify(trajectory, robot)
     assert trajectory.stretched
+
+
+@pytest.mark.parametrize("names", [("jaw",), ("tilt", "roll")])
+def test_smoothed_joints_keep_the_limits_of_servos(names: tuple[str, ...]) -> None:
+    """They are averaged over a while, which is no average of what their servos do."""
+    robot = robot_with(defaults={**NECK["defaults"], "jerk_max_deg_s3": 6000})
+    deg = {"jaw": (0, 20, 3, 22), "tilt": (0, 20, -10, 0), "roll": (0, 10, -10, 0)}
+    frames = [
+        {"at_s": at_s, "deg": {name: deg[name][index] for name in names}}
+        for index, at_s in enumerate((0.0, 0.4, 0.9, 1.5))
+    ]
+    trajectory = planned(robot, *frames)
+    assert trajectory.smoothing
+    verify(trajectory, robot)
