@@ -335,3 +335,40 @@ def test_posing_at_the_cursor_makes_a_key(studio, opened, tmp_path):
         assert added is not None, own.text()
         assert abs(float(added[1]) - 3) < 0.03
         assert own.text().replace(added[0], "") == SHOW
+
+
+def test_a_finger_drags_a_key_and_pans_beside_it(studio, opened, tmp_path):
+    with shaping(studio, opened, tmp_path) as own:
+        page = own.page
+
+        def finger(start, by_px):
+            x, y = start
+            page.touch(x, y)
+            for share in (0.4, 0.7, 1.0):
+                point = [{"x": x + share * by_px, "y": y}]
+                page.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=point)
+            page.touch()
+
+        x, y, per_s, _ = own.place("grüße", 2)
+        finger((x + 14, y), 0.5 * per_s)  # Beside the key, within reach of a finger.
+        own.becomes(SHOW.replace("{at_s: 2,", "{at_s: 2.5,"))
+        page.key("Control+z")
+        own.becomes(SHOW)
+        finger((x + per_s, y), 60)
+        assert own.text() == SHOW
+
+
+def test_two_clients_shape_one_text(studio, opened, tmp_path):
+    with shaping(studio, opened, tmp_path) as own:
+        page = own.page
+        with opened(own.studio) as other:
+            other.key("2")
+            other.wait("document.querySelector('.board-plan')")
+            x, y, *_ = own.place("grüße", 4)
+            own.click(x, y)
+            page.key("Delete")
+            own.becomes(SHOW.replace("  - {at_s: 4.0, deg: {pan: 0}}\n", ""))
+            keys = "document.querySelector('#mirror [role=rowheader]').textContent"
+            other.wait(f"{keys} === 'track grüße, 4 keys'")
+            other.key("Control+z")
+            own.becomes(SHOW)
