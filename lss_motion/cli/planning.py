@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command, prepared, print_json, reader
 from lss_motion.cli.messages import StepLine, say
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from lss_motion.planning.trajectory.model import Trajectory
     from lss_motion.playing.robustness import RobustnessTrial
     from lss_motion.robot.model import Robot
+    from lss_motion.show.gait.model import Gait
+    from lss_motion.show.gait.pacing import Paced
     from lss_motion.stage.check import Planned
 
     FloatArray = NDArray[np.float64]
@@ -60,6 +62,15 @@ program starts without planning.
 
   lss-motion compile wave.yaml -o wave.lss
 """
+
+
+WORLD_OPTIONS: Final = (
+    ("--friction", 5.0, "", "friction of feet on the ground (default 0.8, rubber on wood)"),
+    ("--body-kg", 1000.0, "kg", "body, battery and computer, without servos of legs (default 0.6)"),
+    ("--slope-deg", 45.0, "degrees", "how far the ground rises ahead (default 0)"),
+    ("--strength", 10.0, "", "torque of the servos against their data sheet (default 1)"),
+)
+"""Fields of `gait_physics.PhysicsWorld` as options: largest value, unit, help."""
 
 
 def add_to(commands: Commands) -> None:
@@ -114,6 +125,25 @@ def add_to(commands: Commands) -> None:
     add_options(gait, "--robot", "--robot-cache")
     add_options(gait, "--output", metavar="S.yaml", help="write the keyframes as a sequence")
     add_options(gait, "--force", "--plot", "--json")
+    _add_physics(gait)
+
+
+def _add_physics(gait: argparse.ArgumentParser) -> None:
+    """Add what is assumed of robot and ground."""
+    group = gait.add_argument_group("physics (extra `physics`)")
+    group.add_argument(
+        "--physics",
+        action="store_true",
+        help="let the robot walk in MuJoCo: whether it stays upright, how far it gets, how far its "
+        "feet slip, and how hard its servos work",
+    )
+    for option, most, unit, text in WORLD_OPTIONS:
+        group.add_argument(
+            option,
+            type=number_from(-most if option == "--slope-deg" else 0.0, most, unit),
+            metavar="N",
+            help=text,
+        )
 
 
 def _add_check(commands: Commands) -> None:
@@ -329,18 +359,46 @@ def _gait(arguments: argparse.Namespace) -> int:
     require_outputs(outputs, sources=[robot.path], is_forced=arguments.force)
     passages = paced(gait, robot)
     sequence = sequence_from(gait, passages)
-    plan(sequence, robot)  # The verifier of the planner must accept it before anything is written.
+    # The verifier of the planner must accept it before anything is written.
+    trajectory = plan(sequence, robot)
     if arguments.output is not None:
         write_sequence(sequence, arguments.output, comments=[f"The keyframes of {arguments.file}."])
     if arguments.plot is not None:
         from lss_motion.planning.picture import plot_gait
 
         plot_gait(gait, passages, arguments.plot)
+    verdict = _judged(arguments, gait, robot, passages, trajectory)
     if arguments.json:
-        print_json(gait_as_json(gait, passages))
+        print_json(gait_as_json(gait, passages) | ({} if verdict is None else {"physics": verdict}))
     else:
         say("\n".join(gait_lines(gait, passages)))
+        if verdict is not None:
+            say("\n".join(verdict["lines"]))
     return EXIT_FINISHED
+
+
+def _judged(
+    arguments: argparse.Namespace,
+    gait: Gait,
+    robot: Robot,
+    passages: tuple[Paced, ...],
+    trajectory: Trajectory,
+) -> dict[str, Any] | None:
+    """Return what physics say of a gait as JSON, with `lines` for people; None: not asked."""
+    names = {option[2:].replace("-", "_"): option for option, *_ in WORLD_OPTIONS}
+    given = {name: value for name in names if (value := getattr(arguments, name)) is not None}
+    if not arguments.physics:
+        if given:
+            raise InputError(f"{names[next(iter(given))]} is for --physics")
+        return None
+    import msgspec
+
+    from lss_motion.planning.gait_physics import PhysicsWorld, judged_walk, verdict_lines
+
+    world = PhysicsWorld(**given)
+    verdict = judged_walk(gait, robot, passages, trajectory, world)
+    found: dict[str, Any] = msgspec.to_builtins(verdict)
+    return found | {"assumed": msgspec.to_builtins(world), "lines": verdict_lines(verdict, world)}
 
 
 def plan_table(trajectory: Trajectory, rate_hz: float) -> str:

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 REACH_SLACK_MM: Final = 1e-6
 """A foot this far beyond the reach counts as within: rounding."""
 
+GRAVITY_MM_S2: Final = 9810.0
+
 SAME_POINT_MM: Final = 1e-9
 """A foot this far outside of an edge through it counts as on the edge: rounding."""
 
@@ -210,6 +212,38 @@ class Stance(Struct, frozen=True, kw_only=True):
             feet = self.feet_mm[chosen][:, down, :2]
             margin[chosen] = _margin(feet, centre[chosen])
         return margin
+
+    def tip_s(self, step_height_mm: float) -> FloatArray:
+        """Return how long the body needs to tip onto its lifted feet, (n,); inf: it does not.
+
+        It tips as a pendulum on the line of the feet that stand, from rest: with
+        `tau = sqrt(height / g)`, its centre at the distance `d` moves to `d * cosh(t / tau)`. A
+        foot at the distance `l` from that line, lifted by `step_height_mm`, lands when the body
+        leans by `step_height_mm / l`. With fewer than two feet on the ground it is 0.
+        """
+        height_mm = self.shift_mm[:, 2]
+        centre = self.centre_mm()
+        depth_mm = np.maximum(-self.margin_mm(), 0.0)
+        tips_s = np.full(len(centre), np.inf)
+        for index in np.flatnonzero(depth_mm > 0.0):
+            down = self.is_down[index]
+            feet = self.feet_mm[index, :, :2]
+            if down.sum() < 2:
+                tips_s[index] = 0.0
+                continue
+            first, second = feet[down][:2]
+            along = (second - first) / max(float(np.hypot(*(second - first))), SAME_POINT_MM)
+            across = np.array([-along[1], along[0]])
+            side = (centre[index] - first) @ across
+            away = np.abs((feet[~down] - first) @ across)[
+                ((feet[~down] - first) @ across) * side > 0.0
+            ]
+            if not len(away):
+                continue
+            lean = step_height_mm * height_mm[index] / (float(away.max()) * depth_mm[index])
+            tau_s = math.sqrt(height_mm[index] / GRAVITY_MM_S2)
+            tips_s[index] = tau_s * math.acosh(1.0 + lean)
+        return tips_s
 
 
 def _margin(feet: FloatArray, centre: FloatArray) -> FloatArray:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.show.gait.curves import spline
 from lss_motion.show.gait.kinematics import forward, inverse, reach_excess_mm
-from lss_motion.show.gait.model import BodyMove, Walk
+from lss_motion.show.gait.model import PATTERNS, BodyMove, Walk
 from lss_motion.show.gait.passage import Walking, posing, walking
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Robot
+    from lss_motion.show.gait.kinematics import Stance
     from lss_motion.show.gait.model import Action, BodyPose, Gait
     from lss_motion.show.gait.passage import Passage
 
@@ -52,6 +54,17 @@ all three. Chosen: most of the speed."""
 ROUNDING: Final = 1e-9
 """Absolute error of counts that would be whole without rounding."""
 
+TIP_RATIO_MIN: Final = 0.15
+"""A robot that tips onto its lifted feet within this share of their step goes nowhere. Measured in
+MuJoCo (`tools/benches/walks.py`, 60 gaits): with shares up to 0.10 it gets to less than a twentieth
+of the way, with shares from 0.23 on to more than half; none lies between."""
+
+SWAYS: Final = (0.5, 0.75, 1.25, 1.5, 2.0)
+SWAYS_MM: Final = (10.0, 20.0, 40.0)
+"""Chosen: the sways that are tried where a static pattern would fall, by the present one and alone:
+beyond twice the present one joints leave their ranges."""
+SWAY_SAMPLES: Final = 400
+
 TURN_S: Final = 1e-6
 """Stability is checked this long before and after a foot lifts or lands."""
 
@@ -73,6 +86,9 @@ class Paced(Struct, frozen=True, kw_only=True):
     limit: Literal["speed", "acceleration"]
     margin_min_mm: float
     margin_min_s: float
+    tip_ratio: float
+    """How soon the body tips onto its lifted feet, as a share of the time of their step; 1 or more:
+    it does not, or not before they land."""
     hold_s: float
 
     @property
@@ -125,22 +141,37 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
     used = np.maximum(by_speed, by_accel)
     tightest = int(np.argmax(used))
     checked_s = checked_times_s(passage, times_s)
-    margin_mm = passage.at(checked_s).margin_mm()
+    stance = passage.at(checked_s)
+    margin_mm = stance.margin_mm()
     worst = int(np.argmin(margin_mm))
     check_margin(gait, passage, actions, float(margin_mm[worst]), float(checked_s[worst]))
-    last = actions[-1]
+    last, pace_ratio = actions[-1], max(1.0, float(used[tightest]))
     return Paced(
         passage=passage,
         actions=actions,
         times_s=times_s,
         angles_deg=angles_deg,
-        pace_ratio=max(1.0, float(used[tightest])),
+        pace_ratio=pace_ratio,
         joint=joints[tightest].name,
         limit="speed" if by_speed[tightest] >= by_accel[tightest] else "acceleration",
         margin_min_mm=float(margin_mm[worst]),
         margin_min_s=float(checked_s[worst]),
+        tip_ratio=_tip_ratio(gait, stance, margin_mm, pace_ratio),
         hold_s=last.hold_s if isinstance(last, BodyMove) else 0.0,
     )
+
+
+def _tip_ratio(gait: Gait, stance: Stance, margin_mm: FloatArray, pace_ratio: float) -> float:
+    """Return how soon the body tips, at the middle one of the instants at which it does."""
+    tips_s = stance.tip_s(gait.step_height_mm)[margin_mm < 0.0]
+    if not len(tips_s):
+        return 1.0
+    return min(1.0, float(np.median(tips_s)) / _step_s(gait, pace_ratio))
+
+
+def _step_s(gait: Gait, pace_ratio: float) -> float:
+    """Return how long a foot is in the air."""
+    return (1.0 - gait.duty) * gait.cycle_s * pace_ratio
 
 
 def _keys(
@@ -244,12 +275,32 @@ def check_margin(
     line = _line(passage, actions, at_s)
     place = "" if gait.path is None or line is None else f"{gait.path}:{line}: "
     what = f"the pattern {gait.pattern.name!r}" if is_walk else "this pose"
-    remedy = "a longer duty, shorter steps or more sway_mm" if is_walk else "a smaller shift"
+    remedy = _walk_remedy(gait, actions, margin_mm) if is_walk else "a smaller shift"
     raise PlanningError(
         f"{place}{what} would fall: {at_s:.2f} s after its start the body's centre is "
         f"{-margin_mm:.1f} mm outside of the feet that stand; try {remedy}",
         time_s=at_s,
     )
+
+
+def _walk_remedy(gait: Gait, actions: tuple[Action, ...], margin_mm: float) -> str:
+    """Return what would keep the body over its feet: the best of some sways, if one does."""
+    walks = [own for own in actions if isinstance(own, Walk)]
+    best_mm, best = margin_mm, gait.sway_mm
+    for sway_mm in sorted({0.0, *(gait.sway_mm * r for r in SWAYS), *SWAYS_MM}):
+        changed = replace(gait, sway_mm=sway_mm)
+        passage = walking(changed, changed.start, walks)
+        times_s = np.linspace(0.0, passage.duration_s, SWAY_SAMPLES)
+        found_mm = float(passage.at(checked_times_s(passage, times_s)).margin_mm().min())
+        if found_mm > best_mm:
+            best_mm, best = found_mm, sway_mm
+    now = f"duty (now {gait.duty:g})"
+    if best_mm > 0.0:
+        return (
+            f"sway_mm: {best:.0f} (now {gait.sway_mm:.0f}), with which it stays {best_mm:.0f} mm "
+            f"inside, or a longer {now}"
+        )
+    return f"a longer {now} or shorter steps; no sway_mm alone helps (now {gait.sway_mm:.0f})"
 
 
 def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
@@ -266,6 +317,8 @@ def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
         end_s = start_s + part.duration_s + looped_s(gait, part)
         until = "on" if end_s == math.inf else f"to {end_s:.2f} s"
         lines.append(f"{start_s:.2f} s {until}: {_pace_text(part)}")
+        if part.tip_ratio < TIP_RATIO_MIN:
+            lines.append(f"  {_tip_text(gait, part)}")
         lines += [f"  {_action_text(gait, action, part.pace_ratio)}" for action in part.actions]
         start_s = end_s + part.hold_s
     return lines
@@ -285,6 +338,7 @@ def gait_as_json(gait: Gait, passages: tuple[Paced, ...]) -> dict[str, Any]:
                 "joint": part.joint,
                 "limit": part.limit,
                 "margin_min_mm": part.margin_min_mm,
+                "tip_ratio": part.tip_ratio,
                 "margin_at_s": part.margin_min_s * part.pace_ratio,
                 "actions": [
                     {"label": action.label, "line": action.line} | _action_json(action, part)
@@ -330,10 +384,24 @@ def _pace_text(part: Paced) -> str:
     text = f"body at least {margin_mm:.0f} mm inside of its feet (after {at_s:.2f} s)"
     if margin_mm < 0.0:
         text = f"body up to {-margin_mm:.0f} mm outside of its feet (after {at_s:.2f} s)"
+        if part.tip_ratio < 1.0:
+            text += f", tipping onto the lifted ones after {part.tip_ratio:.0%} of a step"
     pace = "at the pace of the file"
     if part.pace_ratio > 1.0:
         pace = f"{part.pace_ratio:.3f} times slower, for {part.limit} of joint {part.joint!r}"
     return f"{pace}; {text}"
+
+
+def _tip_text(gait: Gait, part: Paced) -> str:
+    """Return the warning about a robot that tips onto the feet that should step."""
+    step_s = _step_s(gait, part.pace_ratio)
+    others = ", ".join(sorted(p.name for p in PATTERNS[len(gait.legs)].values() if p.is_static))
+    return (
+        f"it will not get far: the body tips onto its lifted feet after "
+        f"{part.tip_ratio * step_s:.2f} of the {step_s:.2f} s of a step. Take a shorter cycle_s "
+        f"(now {gait.cycle_s:g}), a higher step_height_mm (now {gait.step_height_mm:g}), or "
+        f"another pattern (now {gait.pattern.name}; {others} cannot tip)"
+    )
 
 
 def _action_text(gait: Gait, action: Action, pace_ratio: float) -> str:
