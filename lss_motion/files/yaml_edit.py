@@ -78,12 +78,10 @@ class SetValues(Struct, frozen=True):
             if depth == len(place):
                 yield page.over(node.start, node.end, flow_text(value))
                 continue
-            made: Any = value
-            for part in reversed(place[depth + 1 :]):
-                made = {str(part): made}
             at = missing.setdefault(place[:depth], {})
-            name = str(place[depth])
-            at[name] = {**at[name], **made} if isinstance(made, dict) and name in at else made
+            for part in place[depth:-1]:
+                at = at.setdefault(str(part), {})
+            at[str(place[-1])] = value
         for place, entries in missing.items():
             node = page.node(place)
             new = [(len(node.entries), key, value) for key, value in entries.items()]

@@ -93,3 +93,15 @@ def test_a_comment_goes_to_the_end_where_there_is_no_line_of_its_own():
         set_comment(FILE, once, ("joints", "wrist"), "wrist found", ["2"])
         == text + "# wrist found 2\n"
     )
+
+
+@pytest.mark.parametrize("text", ["robot: x\n", "robot: x\nposes: {}\n", "robot: {a: 1}  # it\n"])
+@pytest.mark.parametrize("location", [("poses", "up"), ("poses", "up", "left", "far")])
+def test_several_values_of_a_mapping_whose_mappings_do_not_exist_are_all_set(text, location):
+    """As the first pose of a robot: neither `poses` nor the pose is there."""
+    angles = {"pan": 4.5, "tilt": 0.0, "roll": -3.0}
+    made = yaml.safe_load(set_values(FILE, text, location, angles))
+    expected = angles
+    for part in location[::-1]:
+        expected = {part: expected}
+    assert made == yaml.safe_load(text) | expected
