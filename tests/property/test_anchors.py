@@ -52,7 +52,7 @@ def test_a_move_meets_its_anchor_as_soon_as_the_limits_allow(deg, speed, accel, 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_every_anchor_that_a_fine_grid_can_meet_is_met(seed: int) -> None:
-    told = anchors.play(seed, Namespace(refused=False))
+    told = anchors.play(seed, Namespace(refused=False, layers=False))
     assert not told.broken
 
 
@@ -68,6 +68,12 @@ def test_the_grid_finds_the_least_time_of_a_move() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_advice_that_is_followed_suffices(seed: int) -> None:
-    told = anchors.play(seed, Namespace(refused=True))
+    told = anchors.play(seed, Namespace(refused=True, layers=False))
     assert told.outcome == "refused"
+    assert not told.broken
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_anchors_under_layers_are_met_or_the_speed_that_is_named_suffices(seed: int) -> None:
+    told = anchors.play(seed, Namespace(refused=False, layers=True))
     assert not told.broken

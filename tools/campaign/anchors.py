@@ -1,7 +1,8 @@
 """Random shows with anchors a little above the least time: the planner meets what can be met.
 
 `reach.Reach`, which shares no code with the planner, says when each key can be reached. A show is
-scaled to 1.005 to 1.2 times the least duration with which all of its anchors can be met.
+scaled to 1.005 to 1.2 times the least duration with which all of its anchors can be met. With
+`--layers` it has a layer, and show and layer alone are within the limits.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from campaign import Told
-from campaign.reach import Reach
+from campaign.reach import Reach, frames_of, is_legal
 from lss_motion.errors import PlanningError
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
-from lss_motion.show.model import Interpolation, Keyframe, Sequence
+from lss_motion.show.model import Interpolation, Keyframe, Layer, Sequence
 
 if TYPE_CHECKING:
     import argparse
@@ -36,6 +37,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refused", action="store_true", help="0.7 to 0.99 times the least instead"
     )
+
+    parser.add_argument("--layers", action="store_true", help="shows with a layer on top")
 
 
 def robot_of(random: np.random.Generator, names: tuple[str, ...]) -> Robot:
@@ -87,6 +90,34 @@ def any_show(seed: int) -> tuple[Sequence, Robot]:
     return Sequence(name=f"anchors {seed}", keyframes=tuple(frames)), robot
 
 
+def layered(show: Sequence, robot: Robot, random: np.random.Generator) -> Sequence:
+    """Return the show with a layer, slowed until both are within the limits alone."""
+    names = [name for name in robot.joints if random.random() < 0.6] or [next(iter(robot.joints))]
+    mode = str(random.choice(["add", "override"]))
+    times = np.cumsum([0.0, *random.uniform(0.3, 1.0, int(random.integers(2, 5)))]).tolist()
+    frames = tuple(
+        Keyframe(
+            at_s=at_s,
+            deg={n: round(float(random.uniform(-40.0, 40.0)), 1) for n in names},
+            is_anchor=random.random() < 0.3,
+        )
+        for at_s in times
+    )
+    layer = Layer(
+        sequence=Sequence(name="top", keyframes=frames),
+        joints=tuple(names),
+        mode=mode,
+        weight=round(float(random.uniform(0.5, 1.0)), 2),
+        from_s=float(random.uniform(0.1, 1.0)),
+        fade_s=0.4 * times[-1],
+    )
+    # All joints rest at the end of the show, so that nothing is left to be blended out.
+    show = replace(show, layers=(layer,))
+    while not is_legal(show, robot):
+        show = scaled(show, 1.1)
+    return show
+
+
 def scaled(show: Sequence, ratio: float) -> Sequence:
     """Return the show with all times and holds multiplied: the curves stay the same."""
     return replace(
@@ -94,6 +125,15 @@ def scaled(show: Sequence, ratio: float) -> Sequence:
         keyframes=tuple(
             replace(f, at_s=(f.at_s or 0.0) * ratio, hold_s=f.hold_s * ratio)
             for f in show.keyframes
+        ),
+        layers=tuple(
+            replace(
+                layer,
+                sequence=scaled(layer.sequence, ratio),
+                from_s=layer.from_s * ratio,
+                fade_s=layer.fade_s * ratio,
+            )
+            for layer in show.layers
         ),
     )
 
@@ -114,6 +154,13 @@ def least_scale(show: Sequence, robot: Robot) -> float:
 
 def _advice_fails(show: Sequence, robot: Robot, message: str) -> tuple[str, ...]:
     """Return why the advice of a refusal, followed once, does not suffice; nothing if it does."""
+    if show.layers and "write `speed_ratio: " in message:
+        (ratio,) = re.findall(r"speed_ratio: ([0-9.]+)`", message)
+        try:
+            plan(replace(show, speed_ratio=float(ratio)), robot)
+        except PlanningError as error:
+            return (f"{message}; followed: {error}",)
+        return ()
     if "Give it" not in message:
         return () if "late" not in message else (f"no advice: {message}",)
     times = re.findall(r"(it|at ([0-9.]+) s) ([0-9.]+) s more", message.partition(". Give ")[2])
@@ -135,18 +182,22 @@ def play(seed: int, options: argparse.Namespace) -> Told:
     show, robot = any_show(seed)
     random = np.random.default_rng([seed, 1])
     ratio = float(random.uniform(*((0.7, 0.99) if options.refused else RATIOS)))
-    show = scaled(show, least_scale(show, robot) * ratio)
+    if options.layers:
+        show = layered(show, robot, random)
+    else:
+        show = scaled(show, least_scale(show, robot) * ratio)
     about = [f"{len(robot.joints)} joints, ratio {ratio:.4f}"]
     try:
         trajectory = plan(show, robot)
     except PlanningError as error:
         lateness = Reach(show, robot).lateness()
-        frames = zip(lateness, show.keyframes, strict=True)
+        frames = zip(lateness, frames_of(show), strict=True)
         is_possible = all(late_s <= 0.0 for late_s, frame in frames if frame.is_anchor)
         broken = _advice_fails(show, robot, str(error))
         return Told("refused", (str(error), *broken) if is_possible else broken, tuple(about))
     broken = []
-    for mark, frame in zip(trajectory.marks, show.keyframes, strict=True):
+    marks = sorted(trajectory.marks, key=lambda mark: mark.authored_s)
+    for mark, frame in zip(marks, sorted(frames_of(show), key=lambda f: f.at_s), strict=True):
         late_s = mark.planned_s - (frame.at_s or 0.0)
         if late_s < -1e-6:
             broken.append(f"key at {frame.at_s:.3f} s is {-late_s:.4f} s early")

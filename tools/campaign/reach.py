@@ -5,7 +5,8 @@ motion may follow them in any way that the limits allow: ahead of the author's t
 span, but at no key. On a fine grid along the path, the earliest and the latest instant are computed
 at which each grid point can be reached with each of many squared rates. A key cuts off what is too
 early; an anchor what is too late; a stop lets every rate follow; under a hold the motion takes at
-least its length.
+least its length. Layers are added up from their definition; without them and alone, show and layers
+must be within the limits at the author's pace (`is_legal`).
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
-    from lss_motion.show.model import Sequence
+    from lss_motion.show.model import Keyframe, Layer, Sequence
 
 CELL_S: Final = 0.004
 CELLS_MIN: Final = 60
@@ -68,10 +70,79 @@ def curve_of(show: Sequence, joint: str) -> list[tuple[float, float, CubicHermit
     ]
 
 
+def frames_of(show: Sequence) -> list[Keyframe]:
+    """Return the keyframes of the show, then those of its layers, at times of the show."""
+    return [
+        *show.keyframes,
+        *(
+            replace(frame, at_s=frame.at_s + layer.from_s)
+            for layer in show.layers
+            for frame in layer.sequence.keyframes
+        ),
+    ]
+
+
+def motion_of(show: Sequence, joint: str, at_s: np.ndarray, middle_s: np.ndarray) -> np.ndarray:
+    """Return angle, slope and second derivative, (3, n), in the pieces around `middle_s`."""
+    found = np.zeros((3, len(at_s)))
+    keys = [frame for frame in show.keyframes if joint in frame.deg]
+    if keys:
+        found[0] = keys[0].deg[joint]
+    for start, end, cubic in curve_of(show, joint) if keys else ():
+        inside = (middle_s > start) & (middle_s < end)
+        for order in range(3):
+            found[order, inside] = cubic(at_s[inside], order)
+        found[0, middle_s > end] = cubic(end)
+    for layer in show.layers:
+        to_s = layer.from_s + layer.sequence.keyframes[-1].at_s
+        inside = (middle_s > layer.from_s) & (middle_s < to_s)
+        if joint not in layer.joints or not inside.any():
+            continue
+        own = motion_of(
+            layer.sequence, joint, at_s[inside] - layer.from_s, middle_s[inside] - layer.from_s
+        )
+        weight = weight_of(layer, to_s, at_s[inside], middle_s[inside])
+        if layer.mode == "override":
+            own -= found[:, inside]
+        found[:, inside] += [
+            weight[0] * own[0],
+            weight[1] * own[0] + weight[0] * own[1],
+            weight[2] * own[0] + 2.0 * weight[1] * own[1] + weight[0] * own[2],
+        ]
+    return found
+
+
+def weight_of(layer: Layer, to_s: float, at_s: np.ndarray, middle_s: np.ndarray) -> np.ndarray:
+    """Return the weight of a layer and its two derivatives, (3, n): smooth steps at both ends."""
+    found = np.array([[layer.weight], [0.0], [0.0]]) * np.ones(len(at_s))
+    for share, is_in, sign in (
+        ((at_s - layer.from_s) / layer.fade_s, middle_s < layer.from_s + layer.fade_s, 1.0),
+        ((to_s - at_s) / layer.fade_s, middle_s > to_s - layer.fade_s, -1.0),
+    ):
+        step = np.array([
+            share**2 * (3.0 - 2.0 * share),
+            sign * 6.0 * share * (1.0 - share) / layer.fade_s,
+            (6.0 - 12.0 * share) / layer.fade_s**2,
+        ])  # fmt: skip
+        found[:, is_in] = layer.weight * step[:, is_in]
+    return found
+
+
+def is_legal(show: Sequence, robot: Robot) -> bool:
+    """Return whether show and layers, each alone, keep the limits at the author's pace."""
+    parts = [replace(show, layers=()), *(layer.sequence for layer in show.layers)]
+    return all(bool(inside_legal_spans(p, cells_of(p, robot)).all()) for p in parts)
+
+
 def cells_of(show: Sequence, robot: Robot) -> Cells:
     """Return the grid over all keys, with the limits in every cell."""
-    names = sorted({name for frame in show.keyframes for name in frame.deg})
-    marks = sorted({round(t, 9) for f in show.keyframes for t in (f.at_s, f.at_s + f.hold_s)} | {0})
+    frames = frames_of(show)
+    names = sorted({name for frame in frames for name in frame.deg})
+    marks = {round(t, 9) for f in frames for t in (f.at_s, f.at_s + f.hold_s)} | {0}
+    for layer in show.layers:
+        marks |= {round(layer.from_s + layer.fade_s, 9)}
+        marks |= {round(layer.from_s + layer.sequence.keyframes[-1].at_s - layer.fade_s, 9)}
+    marks = sorted(marks)
     at_s = np.append(
         np.concatenate([
             np.linspace(low, high, max(CELLS_MIN, int(np.ceil((high - low) / CELL_S))) + 1)[:-1]
@@ -83,11 +154,8 @@ def cells_of(show: Sequence, robot: Robot) -> Cells:
     middle = at_s[:-1] + 0.5 * step_s
     slopes = np.zeros((2, 2, len(step_s), len(names)))
     for column, name in enumerate(names):
-        for start, end, cubic in curve_of(show, name):
-            inside = (middle > start) & (middle < end)
-            for side, ends in enumerate((at_s[:-1], at_s[1:])):
-                for order in (1, 2):
-                    slopes[side, order - 1, inside, column] = cubic(ends[inside], order)
+        for side, ends in enumerate((at_s[:-1], at_s[1:])):
+            slopes[side, :, :, column] = motion_of(show, name, ends, middle)[1:]
     slopes[np.abs(slopes) < STILL] = 0.0
     speed = np.array([robot.joints[name].speed_max_deg_s for name in names])
     accel = np.array([robot.joints[name].accel_max_deg_s2 for name in names])
@@ -162,7 +230,7 @@ class Reach:
 
     def lateness(self, tolerance_s: float = 0.0) -> list[float]:
         """Return the least lateness at each keyframe; infinite behind an anchor that is missed."""
-        cells, frames = self.cells, self.show.keyframes
+        cells, frames = self.cells, frames_of(self.show)
         points = {float(f.at_s): int(np.abs(cells.at_s - f.at_s).argmin()) for f in frames}
         due = {point: at_s for at_s, point in points.items()}
         due |= {
