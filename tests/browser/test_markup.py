@@ -29,9 +29,14 @@ window.owned !== undefined || document.querySelector(
 """
 
 
-@pytest.fixture
-def hostile(tmp_path, monkeypatch):
-    names = {"robot": TEXT, "pan": f"pan{IMG}", "tilt": f"tilt{IMG}", "pose": f"up{IMG}"}
+MARKUP = {"robot": TEXT, "pan": f"pan{IMG}", "tilt": f"tilt{IMG}", "pose": f"up{IMG}"}
+INHERITED = {"robot": "toString", "pan": "__proto__", "tilt": "constructor", "pose": "valueOf"}
+"""Names that every object of JavaScript has already."""
+
+
+@pytest.fixture(params=[MARKUP, INHERITED], ids=["markup", "inherited"])
+def hostile(tmp_path, monkeypatch, request):
+    names = request.param
     quoted = {key: json.dumps(value) for key, value in names.items()}
     port = tmp_path / "port"
     (tmp_path / "robot.yaml").write_text(ROBOT.format(port=port, **quoted))
@@ -59,13 +64,15 @@ def hostile(tmp_path, monkeypatch):
 
 def test_no_name_and_no_answer_runs_in_a_page(studio, opened, hostile):
     with studio(hostile) as own, opened(own) as page:
+        page.wait("document.body.textContent.includes('onerror=window.owned=1')")
         for key in "123456":
             page.key(key)
             page.idle()
             assert not page.run(OWNED), f"page {key}"
         page.key("1")
         page.key(" ")
-        page.wait("document.body.textContent.includes('onerror=window.owned=1')")
         page.idle()
         assert not page.run(OWNED)
+        assert page.run("Object.keys(Object.prototype).length === 0")
+        assert page.run("typeof {}.constructor === 'function' && ({}).toString() !== undefined")
         page.key("Escape")

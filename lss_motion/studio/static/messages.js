@@ -74,7 +74,7 @@ export function viewFrom(json) {
 /** @param {import("./state.js").Lane[]} lanes */
 function keysByJoint(lanes) {
   /** @type {Record<string, import("./state.js").JointKey[]>} */
-  const found = {};
+  const found = Object.create(null);  // A joint may be named "constructor".
   lanes.forEach((lane, lane_index) => {
     lane.keys.forEach((key, key_index) => {
       for (const [joint, deg] of Object.entries(key.deg)) {

@@ -26,9 +26,9 @@ function hasGhost(view) {
  */
 export function posesAt(view, at_s) {
   /** @type {Pose} */
-  const solid = {};
+  const solid = Object.create(null);
   /** @type {Pose} */
-  const authored = {};
+  const authored = Object.create(null);
   for (const { name } of view.joints) {
     const curves = view.curves[name];
     if (curves === undefined) continue;
@@ -45,7 +45,7 @@ export function posesAt(view, at_s) {
  */
 export function readPose(view, telemetry, deviations) {
   /** @type {Pose} */
-  const read = {};
+  const read = Object.create(null);
   let isRead = false;
   view.joints.forEach(({ name }, index) => {
     const away_deg = deviations.of(index);
