@@ -378,8 +378,7 @@ class PhaseMachine:
             self._enter(Phase.RECOVER)
             return
         self.session.note_proved(preflight.joints, now_ns)
-        is_repeated = self.phase is Phase.PREPARE and self._preparation.is_repeated
-        if is_repeated and not self.session.back_since(self._preparation.from_ns):
+        if self.phase is Phase.PREPARE and self._preparation.is_repeated:
             self._approach(now_ns)
         else:
             self.prepare(is_repeated=self.phase is Phase.PREPARE)

@@ -316,12 +316,8 @@ class Session:
             for order in handshake.not_applied(probes, answers)
         }
         wrong = [(one, has_reported.get((one.bus, one.servo_id))) for one in self.driven]
-        back = self.back_since(since_ns)
+        back = [j for j in self.driven if self.trackers[j.bus].back_ns(j.servo_id) > since_ns]
         return [j for j, has in wrong if has], [j for j, has in wrong if has is False] + back
-
-    def back_since(self, since_ns: int) -> list[Joint]:
-        """Return the driven joints whose servos were away, and have answered again since then."""
-        return [j for j in self.driven if self.trackers[j.bus].back_ns(j.servo_id) > since_ns]
 
     def note_proved(self, joints: Iterable[Joint], now_ns: int) -> None:
         """Note that the servos of these joints are the ones of before."""
