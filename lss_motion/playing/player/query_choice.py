@@ -462,6 +462,7 @@ class ByNeed(QueryChoice):
         """Note what has changed besides answers: moves that left, and doubts."""
         if self._doubts or self._doubted or self._health.unconfirmed:
             doubts = len(self._doubted) + len(self._health.unconfirmed)
+            doubts += sum(state.in_doubt for one in self._rounds.values() for state in one.states)
             if doubts != self._doubts:
                 self._doubts = doubts
                 for one in self._rounds:
