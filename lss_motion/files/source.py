@@ -25,6 +25,9 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 
+Location = tuple[str | int, ...]
+"""The path from the top of a file to a value: keys of mappings and indices of lists."""
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 

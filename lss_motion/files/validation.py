@@ -24,11 +24,12 @@ from msgspec.structs import fields
 
 from lss_motion.files.keys import Check, FileModel, KeyBounds, Plain
 from lss_motion.files.texts import comma_text, known_names
-from lss_motion.files.yaml_source import Location, Mistake
+from lss_motion.files.yaml_source import Mistake
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from lss_motion.files.source import Location
     from lss_motion.files.yaml_source import YamlSource
 
     Reader = Callable[[object, Location, list[Mistake]], Any]

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from lss_motion.files.yaml_source import Location, YamlSource
+    from lss_motion.files.source import Location
+    from lss_motion.files.yaml_source import YamlSource
 
 
 class Splice(Struct, frozen=True):

@@ -15,15 +15,12 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import read_text
+from lss_motion.files.source import Location, read_text
 from lss_motion.files.texts import comma_text, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-
-Location = tuple[str | int, ...]
-"""The path from the top of a file to a value: keys of mappings and indices of lists."""
 
 NODES_MAX: Final = 1_000_000
 """10,000 keyframes of 40 joints are 850,000 keys and values; aliases count as what they repeat."""

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import ProtocolError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Mistake, read_yaml, source_of
+from lss_motion.files.yaml_source import Mistake, read_yaml, source_of
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import DISABLED
 from lss_motion.protocol.io2 import rc_zero_deg
@@ -38,6 +38,7 @@ from lss_motion.robot.servo_models import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
+    from lss_motion.files.source import Location
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.file import (
         JointDefaults,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from lss_motion.files.yaml_source import Location
+    from lss_motion.files.source import Location
     from lss_motion.robot.file import JointDefaults, JointEntry, MechanismEntry, RobotFile
     from lss_motion.robot.mechanism import MechanismKind
     from lss_motion.robot.model import Joint

@@ -6,11 +6,12 @@ from bisect import bisect_right
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from lss_motion.files.yaml_source import Location, Mistake
+from lss_motion.files.yaml_source import Mistake
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from lss_motion.files.source import Location
     from lss_motion.show.file import KeyframeEntry, SequenceFile, TrackEntry
 
 DIGITS: Final = 6

@@ -24,7 +24,7 @@ from lss_motion.show.keyframes import absolute_times
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from lss_motion.files.yaml_source import Location
+    from lss_motion.files.source import Location
 
     Poses = Mapping[str, Mapping[str, float]]
 

@@ -13,13 +13,14 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Mistake
+from lss_motion.files.yaml_source import Mistake
 from lss_motion.show.check import SAME_TIME_S, clashes, joint_problems, jumps, loop_problem
 from lss_motion.show.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 
+    from lss_motion.files.source import Location
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.show.file import Keep, KeyframeEntry, TrackEntry

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import looked_for
+from lss_motion.files.source import Location, looked_for
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Mistake, read_yaml, source_of
+from lss_motion.files.yaml_source import Mistake, read_yaml, source_of
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_named_robot
 from lss_motion.show.beats import beats_of, on_beats

@@ -13,9 +13,8 @@ from typing import ClassVar, Final, Literal
 
 from msgspec import Struct, field
 
-from lss_motion.files.source import Located
+from lss_motion.files.source import Located, Location
 from lss_motion.files.texts import counted
-from lss_motion.files.yaml_source import Location
 from lss_motion.robot.on_fault import Escalations
 
 KEYFRAMES_MAX: Final = 10_000

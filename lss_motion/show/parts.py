@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Mistake
+from lss_motion.files.yaml_source import Mistake
 from lss_motion.show.check import check_sequence, jumps_between
 from lss_motion.show.keyframes import at_speed
 from lss_motion.show.model import (
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    from lss_motion.files.source import Location
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.show.file import LayerEntry, SequenceFile, StepEntry, WaitEntry

@@ -26,7 +26,7 @@ from lss_motion.units import ns_from_s
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from lss_motion.files.yaml_source import Location
+    from lss_motion.files.source import Location
     from lss_motion.robot.model import Robot
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Mistake, read_yaml
+from lss_motion.files.yaml_source import Mistake, read_yaml
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause
 from lss_motion.stage.model import (
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from datetime import time, tzinfo
 
+    from lss_motion.files.source import Location
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.stage.file import (

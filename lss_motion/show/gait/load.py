@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
-from lss_motion.files.yaml_source import Location, Mistake, read_yaml
+from lss_motion.files.yaml_source import Mistake, read_yaml
 from lss_motion.robot.load import load_named_robot
 from lss_motion.show.gait.kinematics import neutral_mm
 from lss_motion.show.gait.model import (
@@ -40,6 +40,7 @@ from lss_motion.show.model import KEYFRAMES_MAX, Interpolation, Keyframe, Sequen
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from lss_motion.files.source import Location
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.show.gait.file import ActionEntry, GaitFile, LegEntry, MoveEntry, WalkEntry
