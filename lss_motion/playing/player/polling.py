@@ -414,7 +414,6 @@ class PollScheduler:
                 self._unclear[state.joint.name] = state
                 state.settings.note_sign(now_ns, HOLD_SIGNS)
                 state.hold_back()
-                self._choice.touch(bus, state)
         for servo_id in twins.doubled:
             if (state := self._by_address.get((bus, servo_id))) is not None:
                 state.drive(is_driven=False)
@@ -503,7 +502,6 @@ class PollScheduler:
         """Send a servo the moves that were held back, if it is in doubt no more."""
         is_sure = state.settings.has_settings and state.joint.name not in self._unclear
         if state.in_doubt and is_sure and state.release():
-            self._choice.touch(state.joint.bus, state)
             self.to_resend[state.joint.name] = state
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:

@@ -364,8 +364,8 @@ class ByNeed(QueryChoice):
             for states in polled.by_bus.values()
             for index, state in enumerate(states)
         }
-        self._doubts = 0
-        """Number of joints in doubt or to be confirmed, at the last look."""
+        self._doubts: tuple[set[str], ...] = ()
+        """Joints in doubt, to be confirmed, and held back, at the last look."""
 
     def touch(self, bus: str, state: JointState | None = None) -> None:
         every = self._rounds[bus]
@@ -460,9 +460,10 @@ class ByNeed(QueryChoice):
 
     def _look(self, bus: str, every: _Round) -> None:
         """Note what has changed besides answers: moves that left, and doubts."""
-        if self._doubts or self._doubted or self._health.unconfirmed:
-            doubts = len(self._doubted) + len(self._health.unconfirmed)
-            doubts += sum(state.in_doubt for one in self._rounds.values() for state in one.states)
+        if any(self._doubts) or self._doubted or self._health.unconfirmed:
+            states = (state for one in self._rounds.values() for state in one.states)
+            held_back = {state.joint.name for state in states if state.in_doubt}
+            doubts = ({*self._doubted}, {*self._health.unconfirmed}, held_back)
             if doubts != self._doubts:
                 self._doubts = doubts
                 for one in self._rounds:
