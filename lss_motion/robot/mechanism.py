@@ -60,6 +60,19 @@ class Mechanism(Struct, frozen=True, kw_only=True):
     moved_deg: tuple[tuple[float, float, float], ...] = ()
     """By `smooth_deg`: joint angle, measured and used servo angle of each point."""
 
+    def derivatives(self, joint_deg: FloatArray, *path: FloatArray) -> list[FloatArray]:
+        """Return as many derivatives of the servos, (n, S) each, as `path` has of the joints.
+
+        One or two, (n, J) each: g'q', and g'q'' with what g' itself changes by.
+        """
+        import numpy as np
+
+        slopes = self.transmission.slopes(joint_deg)
+        found = [np.asarray(np.einsum("nsj,nj->ns", slopes, one)) for one in path]
+        if len(found) > 1:
+            found[1] = self.transmission.bends(joint_deg, path[0]) + found[1]
+        return found
+
     @property
     def is_scaled(self) -> bool:
         """One joint with fixed ratios: its limits are those of its servos, divided by them."""

@@ -56,27 +56,17 @@ class ServoPass(Struct, frozen=True, kw_only=True):
 
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
         """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, servos); see `Pass`."""
-        deg = self.of.sample(times_s, 0)
-        first = self.of.sample(times_s, 1) if order > 0 else deg
-        second = self.of.sample(times_s, 2) if order > 1 else first
-        found = [self._of(group, order, deg, first, second) for group in self.groups]
+        of_joints = [self.of.sample(times_s, lower) for lower in range(order + 1)]
+        found = []
+        for group in self.groups:
+            own = [values[:, list(group.columns)] for values in of_joints]
+            if group.mechanism is None:
+                found.append(own[order])
+            elif order == 0:
+                found.append(group.mechanism.transmission.servo_deg(own[0]))
+            else:
+                found.append(group.mechanism.derivatives(*own)[-1])
         return np.concatenate(found, axis=1)
-
-    @staticmethod
-    def _of(
-        group: ServoColumns, order: int, deg: FloatArray, first: FloatArray, second: FloatArray
-    ) -> FloatArray:
-        columns = list(group.columns)
-        if group.mechanism is None:
-            return (deg, first, second)[order][:, columns]
-        g = group.mechanism.transmission
-        if order == 0:
-            return g.servo_deg(deg[:, columns])
-        slopes = g.slopes(deg[:, columns])
-        if order == 1:
-            return np.asarray(np.einsum("nsj,nj->ns", slopes, first[:, columns]))
-        bends = g.bends(deg[:, columns], first[:, columns])
-        return np.asarray(bends + np.einsum("nsj,nj->ns", slopes, second[:, columns]))
 
 
 def servo_name(servo: str) -> str:

@@ -3,7 +3,7 @@
 A servo behind a fixed ratio needs none: the limits of its joint hold those of the servo
 (`robot.mechanisms.scaled_joint`). Behind a linkage, a differential or a table, position and motion
 of a servo follow from those of several joints or from where the joint is: g(q(s)), with the
-derivatives g'q' and q'·g''·q' + g'q''.
+derivatives of that (`Mechanism.derivatives`).
 """
 
 from __future__ import annotations
@@ -76,13 +76,10 @@ class ServoRows(Struct, frozen=True, kw_only=True):
         """
         firsts, seconds = [first], [second]
         for group in self.groups:
-            columns = list(group.columns)
-            at_deg, own = joint_deg[:, columns], first[:, columns]
-            g = group.mechanism.transmission
-            slopes = g.slopes(at_deg)
-            firsts.append(np.einsum("nsj,nj->ns", slopes, own))
-            bends = g.bends(at_deg, own)
-            seconds.append(bends + np.einsum("nsj,nj->ns", slopes, second[:, columns]))
+            own = (values[:, list(group.columns)] for values in (joint_deg, first, second))
+            speed, accel = group.mechanism.derivatives(*own)
+            firsts.append(speed)
+            seconds.append(accel)
         return np.concatenate(firsts, axis=1), np.concatenate(seconds, axis=1)
 
     def peaks(self, path: Path) -> tuple[FloatArray, FloatArray]:
