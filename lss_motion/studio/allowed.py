@@ -63,6 +63,17 @@ def read(path: Path, text: str) -> ReadText:
     return ReadText(source, {one.reason: source.line(one.location) for one in problems})
 
 
+def path_inside(folder: Path, name: str) -> Path:
+    """Return the path of a file below the folder; raises `InputError` if it is not below."""
+    try:
+        path = (folder / name).resolve()
+    except (ValueError, OSError, RuntimeError):
+        raise InputError("is no name of a file") from None
+    if not path.is_relative_to(folder):
+        raise InputError("is not in the folder of the show", path=name)
+    return path
+
+
 def require_allowed(folder: Path, path: Path, before: str, after: str) -> None:
     """Raise `InputError` with the line for a text that an edit may not make of another one.
 
@@ -180,9 +191,8 @@ def _names(value: object, key: str = "") -> Iterator[str]:
 
 def _is_inside(folder: Path, path: Path, name: str) -> bool:
     """Return whether a name of a file leads to a place below the folder."""
-    if name.startswith("~"):
-        return False
     try:
-        return (path.parent / name).resolve().is_relative_to(folder)
-    except (ValueError, OSError, RuntimeError):
+        path_inside(folder, str(path.parent / name))
+    except InputError:
         return False
+    return not name.startswith("~")

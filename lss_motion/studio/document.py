@@ -42,7 +42,7 @@ from lss_motion.errors import InputError
 from lss_motion.playing.remote import edit_messages as e
 from lss_motion.playing.remote import schema as m
 from lss_motion.show.key_edit import entries_at, lists_of, times_of
-from lss_motion.studio.allowed import read, require_allowed
+from lss_motion.studio.allowed import path_inside, read, require_allowed
 from lss_motion.studio.drafts import Drafts, Stamp, stamp_of
 from lss_motion.studio.history import History
 from lss_motion.studio.operations import new_texts, word_of
@@ -112,13 +112,7 @@ class Document:
 
     def inside(self, name: str) -> Path:
         """Return the path of a file below the folder; raises `InputError` if it is not below."""
-        try:
-            path = (self.folder / name).resolve()
-        except (ValueError, OSError, RuntimeError):
-            raise InputError("is no name of a file") from None
-        if not path.is_relative_to(self.folder):
-            raise InputError("is not in the folder of the show", path=name)
-        return path
+        return path_inside(self.folder, name)
 
     def view(self, plan: str) -> bytes | None:
         """Return the view of a plan that is kept."""

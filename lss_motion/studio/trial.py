@@ -16,7 +16,7 @@ from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import read_text, with_edits
 from lss_motion.files.yaml_source import with_values
 from lss_motion.playing.remote import edit_messages as m
-from lss_motion.studio.allowed import read, require_harmless
+from lss_motion.studio.allowed import path_inside, read, require_harmless
 from lss_motion.studio.operations import new_values
 from lss_motion.studio.view_curves import packed
 
@@ -70,9 +70,7 @@ def tried(
 
 def _reader(folder: Path) -> Callable[[str], tuple[Path, str]]:
     def text_of(name: str) -> tuple[Path, str]:
-        path = (folder / name).resolve()
-        if not path.is_relative_to(folder):
-            raise InputError("is not in the folder of the show", path=name)
+        path = path_inside(folder, name)
         return path, read_text(path)
 
     return text_of

@@ -124,6 +124,8 @@ def test_where_only_the_whole_can_tell_there_is_no_window(tmp_path):
             {"file": "show.yaml", "place": ["events"], "value": [{"at_s": 1, "run": "os:abort"}]},
             "neither added nor changed",
         ),
+        ("key.delete", {"keys": [key(1) | {"file": "\0"}]}, "no name of a file"),
+        ("key.delete", {"keys": [key(1) | {"file": "x" * 999}]}, "cannot be read"),
     ],
 )
 def test_what_cannot_be_is_told_in_words(tmp_path, op, fields, why):
