@@ -20,7 +20,6 @@ from msgspec import Struct
 from lss_motion.errors import InputError, install_command
 from lss_motion.robot.servo_models import MASS_KG, STATIC_TORQUE_N_M
 from lss_motion.show.gait.kinematics import figure_of_legs
-from lss_motion.show.gait.model import Walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -46,9 +45,8 @@ CONTACT_RATIO: Final = 1.01
 LINK_RADIUS_MM: Final = 8.0
 BODY_HEIGHT_MM: Final = 40.0
 """Chosen: about the size of a servo. They say where masses are, and what touches the ground."""
-TORQUE_ASSUMED_N_M: Final = 1.373
-MASS_ASSUMED_KG: Final = 0.057
-"""Assumption for a model whose data sheet is not known: those of an LSS-ST1 (FACTS.md E2, E3)."""
+MODEL_ASSUMED: Final = "LSS-ST1"
+"""Assumption: a model whose data sheet is not known has the torque and the mass of this one."""
 
 
 class PhysicsWorld(Struct, frozen=True, kw_only=True):
@@ -125,7 +123,7 @@ def judged_walk(
     times_s = np.arange(0.0, duration_s + SETTLE_S, STEP_S)
     lags_s = np.array([joint.response.lag_s for joint in joints])
     targets = np.empty((len(times_s), len(names)))
-    for column, lag_s in zip(range(len(names)), lags_s, strict=True):
+    for column, lag_s in enumerate(lags_s):
         at_s = np.clip(times_s - SETTLE_S - lag_s, 0.0, duration_s)
         targets[:, column] = trajectory.sample(at_s)[:, columns[column]]
     fell_at_s = run.play(targets)
@@ -210,7 +208,10 @@ class _PhysicsRun:
         self._ratios = np.array([link.ratio for link in links])
         self._rests = np.array([link.rest_deg for link in links])
         self._torque = world.strength * np.array(
-            [STATIC_TORQUE_N_M.get(joint.model.name, TORQUE_ASSUMED_N_M) for joint in joints]
+            [
+                STATIC_TORQUE_N_M.get(joint.model.name, STATIC_TORQUE_N_M[MODEL_ASSUMED])
+                for joint in joints
+            ]
         )
         self._free = np.radians([joint.model.speed_max_deg_s for joint in joints])
         self._stiffness = self._torque / math.radians(world.full_torque_deg)
@@ -298,7 +299,9 @@ def _mjcf(
     gravity = f"{-9.81 * math.sin(slope):.6g} 0 {-9.81 * math.cos(slope):.6g}"
     hips = np.array(figure.links[0].lines_mm[0])
     half = np.maximum(np.abs(hips[:, :2]).max(axis=0), 0.5 * BODY_HEIGHT_MM) / 1000.0
-    kilograms = {joint.name: MASS_KG.get(joint.model.name, MASS_ASSUMED_KG) for joint in joints}
+    kilograms = {
+        joint.name: MASS_KG.get(joint.model.name, MASS_KG[MODEL_ASSUMED]) for joint in joints
+    }
     motors = "".join(f'<motor joint="{j.name}" name="motor {j.name}"/>' for j in joints)
     return (
         f'<mujoco><option timestep="{STEP_S}" gravity="{gravity}" integrator="implicitfast"/>'
@@ -347,8 +350,3 @@ def _quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
     """Return w, x, y and z of a rotation about z, as the legs of a gait have it."""
     half = 0.5 * math.atan2(rotation[1, 0], rotation[0, 0])
     return math.cos(half), 0.0, 0.0, math.sin(half)
-
-
-def has_walk(gait: Gait) -> bool:
-    """Return whether any action of the gait is a walk."""
-    return any(isinstance(action, Walk) for action in gait.actions)

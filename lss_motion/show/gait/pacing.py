@@ -163,9 +163,10 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
 
 def _tip_ratio(gait: Gait, stance: Stance, margin_mm: FloatArray, pace_ratio: float) -> float:
     """Return how soon the body tips, at the middle one of the instants at which it does."""
-    tips_s = stance.tip_s(gait.step_height_mm)[margin_mm < 0.0]
-    if not len(tips_s):
+    is_outside = margin_mm < 0.0
+    if not is_outside.any():
         return 1.0
+    tips_s = stance.tip_s(gait.step_height_mm)[is_outside]
     return min(1.0, float(np.median(tips_s)) / _step_s(gait, pace_ratio))
 
 
