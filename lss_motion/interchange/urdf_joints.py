@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from lss_motion.files.keys import TEXT_MAX_CHARS
+from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.servo_models import SERVO_ID_MAX
 from lss_motion.robot.urdf import TURNING, UrdfJoint
 
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import ServoModel
     from lss_motion.robot.urdf import UrdfFile
 
-HALF_TURN_DEG: Final = 180.0
-"""A servo without `turns` goes this far to each side of its zero."""
 DEGENERATE_DEG: Final = 90.0
 """Chosen: the range of a joint whose limits are equal. Most brackets allow it."""
 SPEED_SHARE: Final = 1.0 / 3.0
@@ -33,8 +33,6 @@ SAME_DEG: Final = 0.01
 RATIO_MAX: Final = 10.0
 """Chosen: a gear with a larger ratio is that inside of a servo, which has 146 and more
 (FACTS.md E3)."""
-NAME_MAX_CHARS: Final = 64
-"""As of names in robot files."""
 NOT_IN_NAMES: Final = re.compile(r"[^\w.\-]+")
 
 
@@ -77,9 +75,9 @@ def servo_joints(file: UrdfFile, model: ServoModel, notes: ImportNotes) -> tuple
             other = file.text(mimic, "joint")
             notes.add(joint.name, f"mimics {other}: it is drawn, and no servo turns it")
             continue
-        name = NOT_IN_NAMES.sub("_", joint.name)[:NAME_MAX_CHARS]
+        name = NOT_IN_NAMES.sub("_", joint.name)[:TEXT_MAX_CHARS]
         while name in used:
-            name = f"{name[: NAME_MAX_CHARS - 1]}_"
+            name = f"{name[: TEXT_MAX_CHARS - 1]}_"
         used.add(name)
         ratio = _ratio(reductions.get(joint.name, 1.0), name, notes)
         found.append(
@@ -109,7 +107,7 @@ def _reductions(file: UrdfFile) -> dict[str, float]:
         for joint in one.of("joint"):
             for part in (*one.of("actuator"), joint):
                 given = part.one("mechanicalReduction")
-                if given is not None and (number := _positive(given.text)) is not None:
+                if given is not None and (number := finite(given.text) or 0.0) > 0.0:
                     found[joint.attributes.get("name", "")] = number
     return found
 
@@ -125,12 +123,13 @@ def _ratio(reduction: float, name: str, notes: ImportNotes) -> float:
     return reduction
 
 
-def _positive(text: str) -> float | None:
+def finite(text: str | None) -> float | None:
+    """Return the number that a text holds; None: it holds none."""
     try:
-        number = float(text)
+        number = float(text or "")
     except ValueError:
         return None
-    return number if math.isfinite(number) and number > 0.0 else None
+    return number if math.isfinite(number) else None
 
 
 def _range_deg(

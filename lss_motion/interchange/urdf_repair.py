@@ -19,6 +19,7 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_data
+from lss_motion.interchange.urdf_joints import finite
 from lss_motion.robot.servo_models import MASS_KG, STATIC_TORQUE_N_M
 from lss_motion.robot.urdf import MESH_SUFFIX
 
@@ -110,7 +111,7 @@ def _mend_limits(
     if not _is_near(limit.get("velocity"), speed):
         limit.set("velocity", f"{speed:.6g}")
     torque = STATIC_TORQUE_N_M.get(model.name)
-    given = _number(limit.get("effort"))
+    given = finite(limit.get("effort"))
     if torque is None:
         return
     if given is None or given <= 0.0:
@@ -124,7 +125,7 @@ def _mend_limits(
 
 def _is_near(text: str | None, value: float) -> bool:
     """Return whether a number stands for `value` to within the steps in which it was rounded."""
-    given = _number(text)
+    given = finite(text)
     return given is not None and abs(given - value) <= math.radians(0.1)
 
 
@@ -142,7 +143,7 @@ def _mend_masses(
         solid = _solid(file, file.links[name])
         inertial = links[name].find("inertial")
         mass = None if inertial is None else inertial.find("mass")
-        given = None if mass is None else _number(mass.get("value"))
+        given = None if mass is None else finite(mass.get("value"))
         mass_kg = given or 0.0
         if mass_kg <= 0.0:
             if name not in moved and inertial is None:
@@ -203,8 +204,8 @@ def _inertia_fault(inertia: ET.Element | None, mass_kg: float) -> str | None:
     """Return why no body has this inertia; None: one can have it."""
     if inertia is None:
         return "is missing"
-    values = {key: _number(inertia.get(key)) or 0.0 for key in ("ixx", "iyy", "izz")}
-    mixed = {key: _number(inertia.get(key)) or 0.0 for key in ("ixy", "ixz", "iyz")}
+    values = {key: finite(inertia.get(key)) or 0.0 for key in ("ixx", "iyy", "izz")}
+    mixed = {key: finite(inertia.get(key)) or 0.0 for key in ("ixy", "ixz", "iyz")}
     if not any(values.values()):
         return "is 0"
     matrix = np.array(
@@ -298,11 +299,3 @@ def _stl_points(data: bytes) -> FloatArray | None:
         return np.array(found, dtype=np.float64).reshape(-1, 3)
     except ValueError:
         return None
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        number = float(text or "")
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None

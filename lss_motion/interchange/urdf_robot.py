@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from lss_motion.errors import InputError, install_command
+from lss_motion.files.keys import TEXT_MAX_CHARS
 from lss_motion.files.source import read_data
 from lss_motion.files.texts import counted
 from lss_motion.interchange.urdf_joints import (
     ACCEL_DEG_S2,
-    NAME_MAX_CHARS,
     NOT_IN_NAMES,
     ImportNotes,
     ServoJoint,
@@ -60,8 +60,10 @@ def imported_robot(
     expressions. Raises `InputError` with the line for a file that is no tree of links and joints,
     and for one in which no joint turns.
     """
-    is_xacro = _is_xacro(path)
-    data = _expanded(path, may_run=may_run) if is_xacro else read_data(path, URDF_MAX_BYTES)
+    data = read_data(path, URDF_MAX_BYTES)
+    is_xacro = ".xacro" in path.suffixes or b"<xacro:" in data
+    if is_xacro:
+        data = _expanded(path, may_run=may_run)
     file = UrdfFile(path, data)
     notes = ImportNotes()
     servos = servo_joints(file, SERVO_MODELS[model], notes)
@@ -81,7 +83,7 @@ def imported_robot(
         notes.add("", note)
     lines = notes.lines()
     given = file.root.attributes.get("name", "").strip() or output.stem
-    name = NOT_IN_NAMES.sub("_", given)[:NAME_MAX_CHARS]
+    name = NOT_IN_NAMES.sub("_", given)[:TEXT_MAX_CHARS]
     return ImportedRobot(
         robot=_robot_text(name, path.name, model, servos, picture, lines),
         urdf=text,
@@ -89,10 +91,6 @@ def imported_robot(
         joints=servos,
         notes=lines,
     )
-
-
-def _is_xacro(path: Path) -> bool:
-    return ".xacro" in path.suffixes or b"<xacro:" in read_data(path, URDF_MAX_BYTES)
 
 
 def _expanded(path: Path, *, may_run: bool) -> bytes:
