@@ -58,9 +58,9 @@ NOISE_RATIO: Final = 0.03
 OFFERS_DEG: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 """Values of smooth_deg that are tried for an offer."""
 EDGE_DEG: Final = 1e-6
+"""A table covers a range that is larger by less: rounding."""
 TABLE_PLACES: Final = 33
 """Angles of a joint at which its limits are told. Chosen: three degrees apart in a quarter turn."""
-"""A table covers a range that is larger by less: rounding."""
 LIMIT_PLACES: Final = 21
 """Places along each joint at which the largest slopes of a transmission are looked for."""
 

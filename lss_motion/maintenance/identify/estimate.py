@@ -333,9 +333,9 @@ DROOP_DIFFERENCE_DEG: Final = 0.3
 """Smaller differences from the assumed values do not matter for playing."""
 MISFIT_RATIO: Final = 1.3
 MISFIT_LEAST_DEG: Final = 0.02
+"""A residual beyond this was not noise."""
 MODEL_POINTS: Final = 120
 """Points of the model in a plot: one every four pixels."""
-"""A residual beyond this was not noise."""
 
 
 def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:

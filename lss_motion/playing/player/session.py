@@ -119,9 +119,9 @@ class Session:
         self.watched = SensorWatch(robot.sensors[name] for name in watched)
         """Sensors that are polled from the first streamer on, for a caller that acts on them."""
         self.left_out: set[str] = set()
+        """Joints that are sent no move."""
         self._proved_ns: dict[str, int] = {}
         """By joint, when its servo was last compared with what it was before the show."""
-        """Joints that are sent no move."""
         self.limp: list[Joint] = []
         """Joints whose motor has no power until the end."""
         self.beside: list[Streamer] = []
