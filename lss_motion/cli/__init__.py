@@ -7,9 +7,11 @@ help of a command needs none of it. Heavy imports are inside the functions that 
 Commands, called by `main`:
 
 ==============  =================================================================================
+agents          `mcp`: shows for a program that writes them
 beats           `beats`: tempo and beats of music, as a proposal
 by_hand         `record`, `jog`, `calibrate`: with limp joints, or moved by keys
 configure       `configure`: compare, write, back up and restore the settings of servos
+docs            `docs`: opens the guides
 doctor          `doctor`, `devices`: check this computer; its sound devices
 examples        `example`: list the packaged examples, write one
 exchange        `import`, `export`: motion of other tools, and motion for them
@@ -17,8 +19,10 @@ identify        `identify`: measure the response of servos
 import_urdf     `import-urdf`: a robot that others described, as a robot file
 manual          `reference`, `completion`: pages of servo commands, scripts for shells
 monitor         `monitor`: the live state of all servos
+pack            `pack-report`: one file with what is needed to find a fault
 planning        `check`, `plan`, `compile`, `schema`, `gait`: all that needs no servo
 play            `play`, and the program `lss-play`
+publish         `publish`, `verify`: a show as one page that proves itself
 report          `report`, `replay`: what a run has left; also called by `play`, `walk`
 scan            `scan`: find ports, baud rates and servos
 send            `send`: one command to one servo
@@ -32,6 +36,7 @@ Shared by them:
 
 ==============  =================================================================================
 commands        the list of commands; declares them, loads the robot; all commands
+main            `lss-motion COMMAND`: imports the module of that command; `start`, `manual`
 options         the options that several commands have, each once; all commands
 start           the entry points: signals are handled before anything heavy is imported
 messages        prints everything, escaped; turns exceptions into exit codes; all commands

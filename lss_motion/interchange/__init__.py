@@ -4,9 +4,11 @@
 
 | module        | contents                                                   | callers             |
 |---------------|------------------------------------------------------------|---------------------|
-| `importing`   | `import_motion` and its steps; the list of readers         | cli, api            |
+| `importing`   | `import_motion` and its steps; the list of readers         | cli, users          |
 | `reader`      | `Reader`, and the motion that it returns                   | the readers         |
 | `fields`      | checked values from JSON and text, with their place        | the readers         |
+| `columns`     | what the names of columns in a table mean                  | `csv`, `poses`, …   |
+| `yaml_nodes`  | YAML of other programs as texts with their lines           | `nubots`, `ros`     |
 | `labels`      | labels and mouth shapes → keyframes                        | `importing`         |
 | `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
 | `voice`       | a sound → the motion of a jaw, a nod, a sway               | cli                 |
@@ -19,20 +21,20 @@
 | `urdf_repair` | its masses, inertias and efforts, mended                   | `urdf_robot`        |
 | `urdf_legs`   | its legs → a gait file                                     | `urdf_robot`        |
 
-Readers, each a value of `Reader`:
+Readers, each a value of `Reader`, called by `importing`:
 
 | module         | formats                                                                |
 |----------------|------------------------------------------------------------------------|
 | `bvh`          | motion capture as BVH: a skeleton and its frames                       |
 | `choregraphe`  | timelines of Choregraphe (NAO, Pepper), and its export to Python        |
 | `command_text` | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
-| `csv`          | wide and long CSV tables; `columns` says what their names mean         |
+| `csv`          | wide and long CSV tables                                               |
 | `d6a`          | action groups of Hiwonder robots (SQLite)                              |
 | `json_motions` | JSON of Bit-Bots, HULKs, Reachy Mini, pypot, Blender (add-on), Bottango |
 | `label_files`  | labels: Audacity, Rhubarb, Papagayo, Praat, xLights                    |
 | `lerobot`      | LeRobot datasets (parquet; needs pyarrow)                              |
 | `mcap_files`   | joint states in MCAP files (needs mcap)                                |
-| `nubots`       | scripts of the NUbots (YAML); `yaml_nodes` reads YAML for it and `ros` |
+| `nubots`       | scripts of the NUbots (YAML)                                           |
 | `numpy_files`  | NumPy arrays with names (`.npz`, `.npy`)                               |
 | `opencat`      | C arrays of OpenCat skills (Petoi)                                     |
 | `poses`        | plain lists of poses in JSON or CSV                                    |

@@ -10,7 +10,7 @@ opens the ports, and `cli` interacts with the person.
 | `survey.py`         | the servos of a bus, their problems and remedies    | `cli.scan`          |
 | `settings.py`       | stored values: queries, commands, backups, frames   | `cli.configure`     |
 | `monitor.py`        | polls every servo, raises alarms                    | `cli.monitor`       |
-| `take.py`           | recorded motion and poses as a sequence             | `cli.record`        |
+| `take.py`           | recorded motion and poses as a sequence             | `cli.by_hand`       |
 | `single_command.py` | what one typed command does, and its limits         | `cli.send`          |
 | `careful.py`        | the first, careful run of one joint                 | `cli.careful`       |
 | `guided.py`         | calibration and identification, led step by step    | `studio`            |

@@ -8,5 +8,7 @@
 | `kept.py`       | values on disk, found by what they depend on        | `trajectory`             |
 | `show_cache.py` | a show whose files are unchanged, loaded as a whole | `cli`                    |
 | `summaries.py`  | the text of plans and programs for people           | `cli`, `studio`          |
+| `check_json.py` | what `check --json` prints, as classes              | `cli`, `stage`, `studio` |
+| `gait_physics.py` | a walk in the physics of MuJoCo                   | `cli.planning`           |
 | `picture.py`    | figures of matplotlib that look alike               | `trajectory.plot`, `cli` |
 """

@@ -19,7 +19,8 @@
 | `show_modules.py`   | their modules, from the bytes agreed to        | `performer_process`      |
 | `sounds.py`         | sounds of a show on an open stream             | `run`                    |
 | `sound_choice.py`   | device and offset; what came of the sounds     | `run`, `cli`             |
-| `log.py`, …         | the log of every byte, written, read; as MCAP  | `cli`                    |
+| `log.py`            | the log of every byte, written and read        | `runner`, `replay`       |
+| `log_mcap.py`       | a log as MCAP                                  | `cli.exchange`           |
 | `replay.py`         | repeats the player's decisions from a log      | `cli.report`             |
 | `report.py`         | the JSON report of a run, or of many shows     | `run`, `cli`             |
 | `report_joints.py`  | the report of servos as that of their joints   | `run`                    |

@@ -8,10 +8,12 @@ file         what it is                                             called by
 `load`       file → `Sequence`, with its robot; its JSON Schema     `api`, `cli`
 `keyframes`  the keyframes of one track; a sequence at a speed      `load`, `parts`, `trajectory`
 `beats`      `at_beat` of a keyframe → the time of that beat         `load`
-`functions`  Python functions of a show, looked up and not run      `load`, `runtime`, `cli`
+`functions`  Python functions of a show, looked up and not run      `load`, `playing`, `cli`
 `parts`      steps of a play list, layers; a mirrored sequence      `load`
-`check`      what robot and sequence must agree on; what loops      `load`, `cli`, `interchange`
+`splines`    slopes and nearest lines of piecewise cubics            `planning`, `interchange`
+`check`      what robot and sequence must agree on; what loops      `load`, `interchange`
 `key_edit`   keys that are moved, set, added: edits of the text      `studio`
 `write`      `Sequence` → file that a person can edit               `cli`
+`gait/`      gait.yaml → `Sequence`: robots that walk                `planning`, `cli`, `walking`
 ===========  =====================================================  ===============================
 """

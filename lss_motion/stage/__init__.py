@@ -4,24 +4,24 @@
                                         ^
                  signals, wall clock, what the player did
 
-===============  ===============================================================================
-file             the keys of a stage file
-model            the values of a stage; what a trigger and a signal are
-load             a file to a `Stage`, with the line of every problem
-check            plans every show of a stage, and finds what does not go together
-triggering       from signals, times of day and timecode to the cues that they trigger
-duty             why a figure rests, and how often it begins again after faults
-director         decides which show plays
-orders           what the director orders and notes
-log              what is kept of each night
-running          couples the director and the player, one run after the other
-stage_timecode   where the timecode is, the show that follows it; timecode out
-job              what the process of the player does for a stage, and its client
-morning          what happened in a night, from the log
-triggers/        messages of other programs and devices as triggers
-timecode/        timecode in and out
-hosts/           one show on many computers
-===============  ===============================================================================
+| file             | what it is                                            | who calls it          |
+|------------------|-------------------------------------------------------|-----------------------|
+| `file`           | the keys of a stage file                              | `load`, `model`       |
+| `model`          | the values: `Stage`, cues, triggers, signals          | all below             |
+| `load`           | a file to a `Stage`, with the line of every problem   | `cli`, `studio`, …    |
+| `check`          | plans every show, finds what does not go together     | `running`, `cli`      |
+| `triggering`     | signals, times of day, timecode → cues they trigger   | `director`            |
+| `duty`           | why a figure rests; how often it begins after faults  | `director`            |
+| `director`       | decides which show plays                              | `running`, `hosts`    |
+| `orders`         | what the director orders and notes                    | `director`, `running` |
+| `log`            | what is kept of each night                            | `running`, `hosts`    |
+| `running`        | couples director and player, one run after the other  | `job`                 |
+| `stage_timecode` | where the timecode is, its show; timecode out         | `running`, `hosts`    |
+| `job`            | what the player's process does for a stage            | `hosts`, `studio`     |
+| `morning`        | what happened in a night, from the log                | `cli.stages`          |
+| `triggers/`      | messages of other programs and devices as triggers    | `studio`, `hosts`     |
+| `timecode/`      | timecode in and out                                   | `stage_timecode`      |
+| `hosts/`         | one show on many computers                            | `cli`, `studio`       |
 """
 
 from __future__ import annotations

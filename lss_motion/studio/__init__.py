@@ -1,6 +1,6 @@
-"""Seeing and running a show in a browser.
+"""Seeing, editing and running a show in a browser.
 
-The server shows a file, plans it again when it changes on disk, and starts and steers the process
+The server shows and edits a file, plans it again when it changes, and starts and steers the process
 that plays it. Four processes: server, planner, player, and one that only stops; none waits for
 another, so a server or planner that hangs, stands still or is killed blocks no stop.
 
@@ -10,9 +10,9 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `studio`      | one running studio: what it is made of                     | `server`, `app`    |
 | `app`         | routes and their guard                                     | `server`           |
 | `access`      | who may what, as a pure decision; pairing codes            | `app`, `stop`      |
-| `hub`         | the clients, which one operates, the order of operations   | `studio`, `app`    |
+| `hub`         | the clients, which one operates, the order of operations   | `app`, `desk`      |
 | `client`      | what waits for one client, and how much it may send        | `hub`, `app`       |
-| `desk`        | carries operations out                                     | `hub`              |
+| `desk`        | carries operations out                                     | `studio`, `hub`    |
 | `document`    | the open file: edits, revision, errors, last good plan     | `desk`, `studio`   |
 | `operations`  | operations on files → their new texts, pure                | `document`         |
 | `allowed`     | what no edit may make of a file                            | `document`         |
@@ -28,6 +28,11 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `latch`       | the stop that is kept: `stop` writes it, the server reads  | `stopping`, `stop` |
 | `stopping`    | the server's end of the process that only stops            | `studio`           |
 | `stop`        | the process that only stops                                | `stopping`         |
+| `stage_service` | what the server of a stage does besides                  | `cli.serving`      |
+| `api`         | the HTTP interface of a stage                              | `stage_service`    |
+| `inlets`      | the sources of triggers of a stage, opened and kept open   | `stage_service`    |
+| `keeper`      | keeps the player of a stage running                        | `stage_service`    |
+| `metrics`     | what Prometheus is told of a stage                         | `stage_service`    |
 | `web`         | listening sockets, and uvicorn as both servers use it      | `server`, `stop`   |
 | `publish`     | a show as one page, and whether such a page is consistent  | `cli.publish`      |
 | `entrance`    | who may be connected: few strangers, shares of roles       | `web`              |

@@ -126,7 +126,7 @@ class Desk:
         self._change(state="stopping" if is_show else self._state.state)
 
     def obey(self, operation: m.AnyOperation, key: int) -> bool:
-        """Carry an operation out; see `hub.Desk`."""
+        """Carry an operation out; see `hub.OperationDesk`."""
         assert self.document is not None
         if isinstance(operation, EditOperation):
             return self.document.edit(operation, key)

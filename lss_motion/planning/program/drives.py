@@ -2,7 +2,7 @@
 
   timed     `D…T…` in EM1                        `fit` (all joints together), `response`
   streamed  bare `D` through the filter of EM0   `streamed`
-  stepped   whole degrees to an RC servo         `stepped`
+  stepped   whole degrees to an RC servo         `streamed`
 
 For `drive: auto`, the joint is fitted alone with each drive that its servo supports. It is streamed
 if that predicts a clearly smaller error of the horn (`WORTH_RATIO`), else timed. The prediction

@@ -8,13 +8,11 @@
 | `model.py`      | `Trajectory`, its passes, the clock of a path        | program, player, cli    |
 | `tracks.py`     | keyframes of a track, tracks in parallel             | planner                 |
 | `window.py`     | motion between two boundary states, around an edit   | walking, studio         |
-| `playlist.py`   | steps one after the other, and the moves between     | planner                 |
+| `playlist.py`   | steps one after the other; cues in every pass        | planner, layers         |
 | `layers.py`     | layers blended on top of a show                      | planner                 |
-| `cues.py`       | marks, cues and waits in every pass of a loop        | program, playlist       |
 | `keys.py`       | the keys of each joint, checked, with path positions | retime, curves, tracks  |
-| `curves.py`     | the cubics between keys, for each interpolation      | retime                  |
-| `commands.py`   | the ease `command`: what servos do by themselves     | curves, keep_time       |
-| `path.py`       | cubics of all joints over the path position          | all that plan           |
+| `curves.py`     | the cubics between keys, for each ease; `Path`       | all that plan           |
+| `commands.py`   | the ease `command`: what servos do by themselves     | curves                  |
 | `retime.py`     | paths of a sequence, and the clock that follows them | tracks, layers, planner |
 | `servo_rows.py` | servos behind mechanisms along a path                | retime, solver          |
 | `servo_motion.py` | the motion of joints as that of their servos       | program, playing        |
@@ -25,7 +23,6 @@
 | `keep_time.py`  | joints that keep their time, beside others           | planner                 |
 | `keep_joint.py` | one of them: windows, exact keys, what is given up   | keep_time               |
 | `closest_spline.py` | the closest motion within limits; Clarabel    | keep_joint              |
-| `reserve.py`    | less acceleration where it is used up for seconds    | tracks, layers          |
 | `braking.py`    | back at the author's pace exactly where on time      | catch_up                |
 | `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
 | `smoothing.py`  | no jumps of the acceleration, where that is wanted   | planner, layers         |
@@ -33,7 +30,7 @@
 | `kept_plans.py` | plans on disk, verified again when they are loaded   | planner, layers         |
 | `explain.py`    | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
 | `more_time.py`  | how much more time anchors need that are missed      | planner                 |
-| `eases.py`      | where `spline` or `smooth` makes a motion later      | cli                     |
+| `eases.py`      | where `spline` or `smooth` makes a motion later      | summaries               |
 | `plot.py`       | a picture of a trajectory                            | cli                     |
 
 toppra takes a second to import. It is imported only where a motion must be slowed or made as fast

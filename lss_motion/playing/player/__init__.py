@@ -23,7 +23,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     handshake       dialogues: settings, restore, recovery              session, connection, cli
     streamer        one program on the show clock                       session
     show_clock      show time, the moves due on it, how late they are   streamer, cues, report
-    following       keeps a show in step with a leader                  sync, remote
+    following       keeps a show in step with a leader                  remote, stage, cli
     rate_ramps      moves computed at run time: other rates, off plan   streamer
     servo_model     moves and settings that a servo has; its filter     joint_state, hands_on
     joint_state     one joint: sent moves, model, readings              streamer, polling
@@ -33,9 +33,10 @@ calls with the same arguments give the same bytes, so a log can be replayed (`pl
     query_choice    which servo is polled next, and for what            polling
     query_tracker   one line, and the queries in flight on it           all that send
     twins           whether two servos answer to one id                 query_tracker
+    echo            what an adapter returns of what was sent to it      query_tracker, checks
     unasked         what arrives on a bus beyond its queries            session, monitor
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player
     cues            marks, cues, and waits for sensors                  session, streamer
-    events          what happened, as values                            player, cli, runtime
+    events          what happened, as values                            player, run, cli
 """

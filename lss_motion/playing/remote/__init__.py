@@ -9,10 +9,11 @@ are kept, up to a bound.
 |----------------|----------------------------------------------------------|--------------------|
 | `schema`       | operations and events: the one schema                    | all below, `cli` |
 | `edit_messages` | operations on the files of a studio                     | `schema`, `studio` |
+| `stage_messages` | operations and events of a stage                       | `schema`, `stage`  |
 | `message`      | base of all messages; where every joint is, as bytes     | `schema`, both ends |
-| `operator_end` | the client, as a process that moves servos knows it      | `job`, `live`      |
+| `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end`  |
 | `player_end`   | a show: applies operations, sends what happens           | `job`              |
-| `job`          | what is played, and how it ended                         | `process`, `handle` |
+| `job`          | what is played, and how it ended                         | `handle`, `stage`  |
 | `process`      | the process that does a job, and how it is started       | `handle`, `studio` |
 | `handle`       | `start` and `Handle`: the client's end, for Python       | `lss_motion` |
 """
