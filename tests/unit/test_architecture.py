@@ -92,3 +92,24 @@ def test_the_one_frozen_dataclass_is_the_one_that_is_named():
     sources = {path.name: path.read_text() for path in PAGE.parent.rglob("*.py")}
     frozen = {name for name, text in sources.items() if re.search(r"@dataclass\(.*frozen", text)}
     assert frozen == {"move_table.py"}
+
+
+PACKAGES = sorted(path.parent for path in PAGE.parent.glob("*/**/__init__.py"))
+ROW = re.compile(r"^ *(?:\| )?`(\w+)(?:\.py|/)?`(?: +\||  )", re.MULTILINE)
+
+
+def table_problems(package: Path, text: str) -> list[str]:
+    """Return the modules that the table in a package's docstring lacks, and rows of no module."""
+    names = {path.stem for path in package.glob("*.py")} - {"__init__", "__main__"}
+    names |= {path.parent.name for path in package.glob("*/__init__.py")}
+    lacking = [name for name in names if not re.search(rf"^[ |`]*{name}\b", text, re.MULTILINE)]
+    others = [
+        name for name in ROW.findall(text) if name not in names and not (package / name).is_dir()
+    ]
+    return sorted(lacking) + others
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda path: path.name)
+def test_the_table_of_a_package_has_a_row_for_each_module(package):
+    text = ast.get_docstring(ast.parse((package / "__init__.py").read_text("utf-8")))
+    assert table_problems(package, text) == []
