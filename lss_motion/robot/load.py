@@ -67,32 +67,8 @@ MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
 
 _NOT_SHARED: Final = frozenset({"id", "on_fault", "ratio", "linkage", "servo"})
 
-_OF_JOINT: Final = (
-    "speed_max_deg_s",
-    "accel_max_deg_s2",
-    "jerk_max_deg_s3",
-    "following_deg",
-    "goal_tolerance_deg",
-    "goal_time_s",
-)
-"""What belongs to a joint behind a transmission; all else belongs to its servos."""
-
-_PLAIN: Final = (
-    "speed_max_deg_s",
-    "accel_max_deg_s2",
-    "jerk_max_deg_s3",
-    "direction",
-    "zero_deg",
-    "following_deg",
-    "goal_tolerance_deg",
-    "goal_time_s",
-    "turns",
-    "drive",
-    "filter_count",
-    "temperature_max_c",
-    "voltage_min_v",
-    "silent_s",
-)
+_MADE: Final = ("model", "bus", "range_deg", "pulse_us", "settings", "stored", "response")
+"""Keys of which a field of `Joint` is made; each other key is a field of the same name."""
 
 
 def load_robot(path: Path | str | Mapping[str, object]) -> Robot:
@@ -366,6 +342,8 @@ class _RobotLoader:
 
     def bare(self, merged: _Merged, on_fault: Escalations) -> Joint | None:
         """Return a joint behind a transmission: with its own limits, and no servo."""
+        from lss_motion.robot.servos import OF_JOINT
+
         name, fields = merged.name, merged.fields
         if self._lacks(merged, _NEEDED[1:]):
             return None
@@ -386,7 +364,7 @@ class _RobotLoader:
             position_max_deg=fields["range_deg"][1],
             on_fault=on_fault,
             lines={key: self.line(place) for key, place in merged.places.items()},
-            **{key: fields[key] for key in _OF_JOINT if key in fields},
+            **{key: value for key, value in fields.items() if key in OF_JOINT},
         )
         if joint.position_min_deg >= joint.position_max_deg:
             self.note(*next(joint_field_problems(joint, merged.place)))
@@ -428,7 +406,7 @@ class _RobotLoader:
             on_fault=on_fault,
             unread=unread,
             lines={key: self.line(place) for key, place in merged.places.items()},
-            **{key: fields[key] for key in _PLAIN if key in fields},
+            **{key: value for key, value in fields.items() if key not in _MADE},
         )
         for location, reason in joint_field_problems(joint, merged.place):
             self.note(location, reason)

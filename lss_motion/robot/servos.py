@@ -39,11 +39,8 @@ if TYPE_CHECKING:
 JOINT_KEYS: Final = ("jerk_max_deg_s3", "following_deg", "goal_tolerance_deg", "goal_time_s")
 """Keys of a joint that a servo of a mechanism cannot have."""
 LIMIT_KEYS: Final = ("range_deg", "speed_max_deg_s", "accel_max_deg_s2")
-SERVO_KEYS: Final = (
-    *("bus", "model", "direction", "zero_deg", "pulse_us", "turns", "temperature_max_c"),
-    *("voltage_min_v", "silent_s", "settings", "stored", "drive", "filter_count", "response"),
-)
-"""Keys of a servo that a joint of a mechanism cannot have: its servos have them."""
+OF_JOINT: Final = (*LIMIT_KEYS[1:], *JOINT_KEYS)
+"""Fields of a joint that mechanisms move; each other key belongs to its servos."""
 LOST: Final = (
     *(Cause.SILENT, Cause.RESTARTED, Cause.BLOCKED, Cause.SAFE_MODE, Cause.ERROR),
     Cause.LOST_TURN,
@@ -189,10 +186,7 @@ class ServoLoader:
             builder.note(("mechanisms", mechanism, key), reason)
             return None
         own, at = entries[name], ("joints", name)
-        wrong = [
-            key for key in ("id", "ratio", "linkage", "servo") if getattr(own, key) is not None
-        ]
-        wrong += [key for key in SERVO_KEYS if key in own.given]
+        wrong = sorted(own.given - {"range_deg", "on_fault", *OF_JOINT})
         for key in wrong:
             builder.note(
                 (*at, key),

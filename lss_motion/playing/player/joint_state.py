@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from msgspec.structs import replace
 
@@ -619,7 +619,7 @@ class JointState:
         self._is_correcting = False
         self.standing.await_rest()
 
-    def note_health(self, keyword: str, value: float) -> None:
+    def note_health(self, keyword: Literal["Q", "QT", "QV", "QC"], value: float) -> None:
         """Keep the status, the highest temperature and current, the lowest voltage."""
         match keyword:
             case "Q":  # Firmware versions number them differently.
@@ -628,7 +628,7 @@ class JointState:
                 self.temperature_max_c = max(value, self.temperature_max_c or value)
             case "QV":
                 self.voltage_min_v = min(value, self.voltage_min_v or value)
-            case _:
+            case "QC":
                 self.current_max_a = max(value, self.current_max_a or 0.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.planning.summaries import robot_lines
+from lss_motion.robot.file import JointDefaults
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.mechanisms import limits_along, places_of
 from lss_motion.robot.model import NO_SERVO
@@ -220,6 +222,40 @@ def test_what_is_wrong_is_told_with_its_line(
     found = [one for one in told if reason in one.reason]
     assert found, "\n".join(map(str, told))
     assert found[0].line == line
+
+
+VALUES = {
+    "bus": "main",
+    "model": "LSS-ST1",
+    "direction": -1,
+    "zero_deg": 1,
+    "pulse_us": [500, 2500],
+    "turns": "powered",
+    "temperature_max_c": 50,
+    "voltage_min_v": 7,
+    "silent_s": 2,
+    "settings": {"AH": 3},
+    "stored": {"LED": 3},
+    "drive": "timed",
+    "filter_count": 5,
+    "response": {"lag_s": 0.01},
+}
+
+
+@pytest.mark.parametrize(
+    "key", [key for key in JointDefaults.__struct_fields__ if key not in ("given", "range_deg")]
+)
+def test_each_key_of_a_joint_counts_or_is_refused_where_servos_move_it(
+    head: Path, key: str
+) -> None:
+    value = VALUES.get(key, 60)
+    changed = HEAD.replace("tilt: {range", f"tilt: {{{key}: {json.dumps(value)}, range")
+    head.write_text(changed, encoding="utf-8")
+    if key in VALUES:
+        with pytest.raises(InputError, match=f"whose servos have '{key}'"):
+            load_robot(head)
+    else:
+        assert getattr(load_robot(head).joints["tilt"], key) == value
 
 
 @pytest.mark.parametrize(
