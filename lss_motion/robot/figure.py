@@ -10,6 +10,7 @@ a robot file (`robot.load`), from its `urdf` (`robot.urdf`) or from the legs of 
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]
 """Rows of a rotation matrix."""
+ShapeKind = Literal["box", "cylinder", "sphere", "capsule", "ellipsoid", "mesh"]
 Shade = Literal["dark", "light"]
 """How a part is drawn that has not the colour of the figure."""
 
@@ -50,12 +52,13 @@ class Shape(Struct, frozen=True, kw_only=True):
     """A solid in the frame of a link, as in URDF.
 
     `size_mm`: of a box x, y, z; of a cylinder radius and length (along z); of a sphere its radius;
-    of a ball, which is no solid of URDF, its half axes along x, y and z.
+    of a capsule its radius, and its length along z without both round ends; of an ellipsoid its
+    half axes along x, y and z. URDF has neither.
     A mesh is a file, `path` relative to the folder of the robot file, and `size_mm` is one unit of
     it along x, y and z.
     """
 
-    kind: Literal["box", "cylinder", "sphere", "ball", "mesh"]
+    kind: ShapeKind
     size_mm: tuple[float, ...]
     origin_mm: Vector = ORIGIN
     rotation: Rotation = UPRIGHT
@@ -67,7 +70,7 @@ class FigureLink(Struct, frozen=True, kw_only=True):
     """One rigid part. `parent` is the index of an earlier link; -1: the ground.
 
     `joint` is the joint of the robot that turns it about `axis` (a unit vector of its own frame);
-    None: it is fixed. `lines_mm` are drawn in its own frame.
+    None: it is fixed. `lines_mm` are drawn in its own frame. `Figure.solids` is what it fills.
     """
 
     name: str
@@ -82,6 +85,10 @@ class FigureLink(Struct, frozen=True, kw_only=True):
     width_mm: float | None = None
     shade: Shade | None = None
     shapes: tuple[Shape, ...] = ()
+    mass_kg: float | None = None
+    """None: unknown."""
+    com_mm: Vector = ORIGIN
+    """Its centre of mass in its own frame; only with `mass_kg`."""
 
 
 class Figure(Struct, frozen=True, kw_only=True):
@@ -124,17 +131,35 @@ class Figure(Struct, frozen=True, kw_only=True):
             if link.lines_mm
         }
 
+    def solids(self) -> tuple[tuple[Shape, ...], ...]:
+        """Return what each link fills, in its own frame: its shapes, and its lines as capsules."""
+        default_mm = self.reach_mm / SLENDERNESS_RATIO
+        return tuple(
+            (
+                *link.shapes,
+                *(
+                    capsule(start, end, link.width_mm or default_mm, link.shade)
+                    for line in link.lines_mm
+                    for start, end in itertools.pairwise(line)
+                ),
+            )
+            for link in self.links
+        )
+
     @property
     def reach_mm(self) -> float:
-        """No point of a line or ball is further than this from the root, whatever joints do."""
+        """No point of a line or shape is further than this from the root, whatever joints do.
+
+        Solids of a URDF file count as far as its lines go.
+        """
         start_mm: list[float] = []
         reach = 0.0
         for link in self.links:
             parent = start_mm[link.parent] if link.parent >= 0 else 0.0
             start_mm.append(parent + math.hypot(*link.origin_mm))
             ends = [math.hypot(*point) for line in link.lines_mm for point in line]
-            balls = (shape for shape in link.shapes if shape.kind == "ball")
-            ends += [math.hypot(*ball.origin_mm) + max(ball.size_mm) for ball in balls]
+            if self.source == "figure":
+                ends += [math.hypot(*own.origin_mm) + _radius_mm(own) for own in link.shapes]
             reach = max(reach, start_mm[-1] + max(ends, default=0.0))
         return reach
 
@@ -174,6 +199,40 @@ class Figure(Struct, frozen=True, kw_only=True):
             "reach_mm": reach,
             "notes": list(self.notes),
         }
+
+
+def _radius_mm(shape: Shape) -> float:
+    """Return the radius of the ball around a shape that is no mesh."""
+    if shape.kind == "box":
+        return math.hypot(*shape.size_mm) / 2.0
+    if shape.kind == "capsule":
+        radius, length = shape.size_mm
+        return radius + length / 2.0
+    if shape.kind == "cylinder":
+        radius, length = shape.size_mm
+        return math.hypot(radius, length / 2.0)
+    return max(shape.size_mm)
+
+
+def capsule(start: Vector, end: Vector, width_mm: float, shade: Shade | None = None) -> Shape:
+    """Return a round bar between two points, with round ends around them."""
+    x, y, z = (to - at for at, to in zip(start, end, strict=True))
+    length = math.hypot(x, y, z)
+    sideways = math.hypot(x, y)
+    axis = (-y / sideways, x / sideways, 0.0) if sideways else (1.0, 0.0, 0.0)
+    return Shape(
+        kind="capsule",
+        size_mm=(width_mm / 2.0, length),
+        origin_mm=middle_of(start, end),
+        rotation=turned(axis, math.atan2(sideways, z)),
+        shade=shade,
+    )
+
+
+def middle_of(start: Vector, end: Vector) -> Vector:
+    """Return the point between two others."""
+    x, y, z = ((at + to) / 2.0 for at, to in zip(start, end, strict=True))
+    return (x, y, z)
 
 
 def _flat(rotation: Rotation) -> list[float]:

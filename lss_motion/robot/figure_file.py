@@ -45,12 +45,15 @@ FIGURE_MAX_MM: Final = 100_000.0
 """Chosen: a hundred metres; more is a typing error or another unit."""
 FIGURE_LINKS_MAX: Final = 500
 """Chosen: ten times the links of the largest figure that is known to be driven by such servos."""
+LINK_MAX_KG: Final = 1000.0
+"""Chosen: a tonne; more is a typing error or another unit."""
+FigureShape = Literal["bar", "capsule", "box", "ellipsoid"]
 FigureMm = Annotated[float, Field(ge=-FIGURE_MAX_MM, le=FIGURE_MAX_MM)]
 FigureSizeMm = Annotated[float, Field(gt=0.0, le=FIGURE_MAX_MM)]
 
 
 class FigureLinkEntry(FileModel, title="link of a figure"):
-    """One part of the picture of the robot: a bar that a joint turns about its beginning.
+    """One part of the robot as it looks, and as it weighs: a joint turns it about its beginning.
 
     Directions are x forward, y left and z up, those of the robot with all joints at rest_deg.
     """
@@ -90,15 +93,29 @@ class FigureLinkEntry(FileModel, title="link of a figure"):
         le=FIGURE_MAX_MM,
         description="How thick it is drawn. Default: a thirtieth of the whole figure.",
     )
-    ball_mm: Annotated[list[FigureSizeMm], Field(min_length=3, max_length=3)] | None = Field(
+    shape: FigureShape = Field(
+        default="bar",
+        description="What it is. bar: from its beginning to its end, width_mm thick. capsule: the "
+        "same with round ends. box, ellipsoid: of size_mm, in the middle of it.",
+    )
+    size_mm: Annotated[list[FigureSizeMm], Field(min_length=3, max_length=3)] | None = Field(
         default=None,
-        description="A ball in place of the bar, in the middle of it: its diameters along x, y and "
-        "z, such as those of a head.",
+        description="Box and ellipsoid: how large it is along x, y and z, such as a head.",
         examples=[[80, 70, 90]],
     )
     shade: Literal["dark", "light"] | None = Field(
         default=None,
         description="Drawn dark or light, as an eye. Left out: in the colour of the figure.",
+    )
+    mass_kg: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=LINK_MAX_KG,
+        description="What it weighs, with the servos in it. Left out: unknown.",
+    )
+    com_mm: Annotated[list[FigureMm], Field(min_length=3, max_length=3)] | None = Field(
+        default=None,
+        description="Its centre of mass, from its beginning: x, y, z. Left out: its middle.",
     )
     foot: bool = Field(
         default=False,

@@ -7,12 +7,20 @@ from typing import TYPE_CHECKING
 
 from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Mistake
-from lss_motion.robot.figure import ORIGIN, Figure, FigureLink, Shape, unit_vector
+from lss_motion.robot.figure import (
+    ORIGIN,
+    Figure,
+    FigureLink,
+    Shape,
+    capsule,
+    middle_of,
+    unit_vector,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping
 
-    from lss_motion.robot.figure import Shade, Vector
+    from lss_motion.robot.figure import Vector
     from lss_motion.robot.figure_file import FigureLinkEntry
 
 
@@ -49,21 +57,58 @@ def figure_from(
                     start[1] + entry.offset_mm[1],
                     start[2] + entry.offset_mm[2],
                 ),
-                lines_mm=((ORIGIN, end),) if entry.length_mm and not entry.ball_mm else (),
+                lines_mm=((ORIGIN, end),) if entry.length_mm and entry.shape == "bar" else (),
                 width_mm=entry.width_mm,
                 shade=entry.shade,
-                shapes=() if entry.ball_mm is None else (_ball(entry.ball_mm, end, entry.shade),),
+                shapes=_shapes(entry, end),
+                mass_kg=entry.mass_kg,
+                com_mm=_centre(entry, end),
             )
         )
     return Figure(source="figure", links=tuple(links), feet=tuple(feet)), []
 
 
-def _ball(ball_mm: Sequence[float], end: Vector, shade: Shade | None) -> Shape:
-    """Return a ball in the middle of a link that ends there."""
-    x, y, z = ball_mm
-    middle = (end[0] / 2.0, end[1] / 2.0, end[2] / 2.0)
-    half_axes = (x / 2.0, y / 2.0, z / 2.0)
-    return Shape(kind="ball", size_mm=half_axes, origin_mm=middle, shade=shade)
+def _shapes(entry: FigureLinkEntry, end: Vector) -> tuple[Shape, ...]:
+    """Return the shape of a link that ends there; a bar is its line."""
+    if entry.shape == "bar":
+        return ()
+    if entry.shape == "capsule":
+        return (capsule(ORIGIN, end, entry.width_mm or 0.0, entry.shade),)
+    x, y, z = entry.size_mm or ORIGIN
+    size_mm = (x, y, z) if entry.shape == "box" else (x / 2.0, y / 2.0, z / 2.0)
+    middle = middle_of(ORIGIN, end)
+    return (Shape(kind=entry.shape, size_mm=size_mm, origin_mm=middle, shade=entry.shade),)
+
+
+def _centre(entry: FigureLinkEntry, end: Vector) -> Vector:
+    """Return the centre of mass of a link that ends there; no place where it weighs nothing."""
+    if entry.com_mm is not None:
+        x, y, z = entry.com_mm
+        return (x, y, z)
+    return ORIGIN if entry.mass_kg is None else middle_of(ORIGIN, end)
+
+
+_SOLID = frozenset({"box", "ellipsoid"})
+
+
+def _shape_problems(name: str, entry: FigureLinkEntry) -> Iterator[Mistake]:
+    place, shape = ("figure", name), entry.shape
+    if shape in _SOLID and entry.size_mm is None:
+        reason = f"link {name!r} is of shape {shape} and has no 'size_mm': [x, y, z]"
+        yield Mistake((*place, "shape"), reason)
+    if shape not in _SOLID and entry.size_mm is not None:
+        remedy = "give 'shape: ellipsoid' or 'shape: box', or length_mm and width_mm"
+        reason = f"link {name!r}: 'size_mm' has no meaning for shape {shape}; {remedy}"
+        yield Mistake((*place, "size_mm"), reason)
+    if shape in _SOLID and entry.width_mm is not None:
+        reason = f"link {name!r}: 'width_mm' has no meaning for shape {shape}; its size is size_mm"
+        yield Mistake((*place, "width_mm"), reason)
+    if shape == "capsule" and entry.width_mm is None:
+        reason = f"link {name!r} is of shape capsule and has no 'width_mm', how thick it is"
+        yield Mistake((*place, "shape"), reason)
+    if entry.com_mm is not None and entry.mass_kg is None:
+        reason = f"link {name!r} has a centre of mass and no 'mass_kg'; give what it weighs"
+        yield Mistake((*place, "com_mm"), reason)
 
 
 def figure_problems(
@@ -86,6 +131,7 @@ def figure_problems(
             key = min(given)
             reason = f"link {name!r} has no 'joint', so {key!r} has no meaning; remove it"
             yield Mistake((*place, key), reason)
+        yield from _shape_problems(name, entry)
     parents = {name: {entry.parent} for name, entry in entries.items() if entry.parent}
     try:
         TopologicalSorter(parents).prepare()

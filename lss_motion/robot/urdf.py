@@ -319,8 +319,11 @@ class _UrdfPicture:
         lines = tuple((ORIGIN, end) for end in ends if math.hypot(*end) > 0.0)
         shapes = tuple(shape for visual in element.of("visual") if (shape := self._drawn(visual)))
         joint = above.get(name)
+        mass_kg, com_mm = self._mass(element)
         if joint is None:
-            return FigureLink(name=name, lines_mm=lines, shapes=shapes)
+            return FigureLink(
+                name=name, lines_mm=lines, shapes=shapes, mass_kg=mass_kg, com_mm=com_mm
+            )
         origin_mm, rotation = self._file.frame(joint.element)
         is_still = joint.driver is None or joint.ratio == 0.0
         if is_still and joint.offset_deg:
@@ -336,7 +339,24 @@ class _UrdfPicture:
             rotation=rotation,
             lines_mm=lines,
             shapes=shapes,
+            mass_kg=mass_kg,
+            com_mm=com_mm,
         )
+
+    def _mass(self, element: UrdfElement) -> tuple[float | None, Vector]:
+        """Return the mass of a link in kg (None: unknown) and its centre of mass in mm."""
+        inertial = element.one("inertial")
+        mass = None if inertial is None else inertial.one("mass")
+        if inertial is None or mass is None:
+            return None, ORIGIN
+        try:
+            (mass_kg,) = self._file.numbers(mass, "value", 1)
+            if mass_kg < 0.0:
+                self._file.refuse(mass, f"<mass>: value {mass_kg:g} must not be below 0")
+            return mass_kg, self._file.frame(inertial)[0]
+        except InputError as error:
+            self._notes.append(f"line {error.line}: {error.reason}; the mass counts as unknown")
+            return None, ORIGIN
 
     def _drawn(self, visual: UrdfElement) -> Shape | None:
         """Return the shape of a `<visual>`, or note why it cannot be drawn."""

@@ -75,6 +75,19 @@ def test_a_link_begins_at_the_end_of_its_parent_and_turns_about_its_axis(tmp_pat
         ("figure:\n  a:\n    along: [0, 1]\n", 6, "a direction such as"),
         ("figure:\n  a:\n    lenght_mm: 4\n", 6, "length_mm"),
         ("figure:\n  a:\n    length_mm: -4\n", 6, "0 or more"),
+        ("figure:\n  a:\n    shape: ball\n", 6, "bar, capsule, box"),
+        ("figure:\n  a:\n    shape: box\n", 6, "no 'size_mm'"),
+        ("figure:\n  a:\n    size_mm: [4, 4, 4]\n", 6, "'shape: ellipsoid'"),
+        ("figure:\n  a:\n    size_mm: [4, 4]\n    shape: box\n", 6, "3"),
+        ("figure:\n  a:\n    size_mm: [4, 0, 4]\n    shape: box\n", 6, "more than 0"),
+        ("figure:\n  a:\n    shape: capsule\n    length_mm: 9\n", 6, "no 'width_mm'"),
+        (
+            "figure:\n  a:\n    shape: box\n    size_mm: [4, 4, 4]\n    width_mm: 3\n",
+            8,
+            "no meaning for shape box",
+        ),
+        ("figure:\n  a:\n    com_mm: [0, 0, 4]\n", 6, "no 'mass_kg'"),
+        ("figure:\n  a:\n    mass_kg: -1\n", 6, "0 or more"),
         ("figure: {a: {}}\nurdf: {file: a.urdf}\n", 5, "exclude each other"),
         ("urdf:\n  file: ../a.urdf\n", 5, "below the folder"),
         ("urdf:\n  file: /etc/passwd\n", 5, "below the folder"),
@@ -126,19 +139,19 @@ def test_the_figures_of_the_examples_stand_in_their_poses():
     assert fingers["left_finger"][-1][2] > 450, "upright"
     body = load_robot(EXAMPLES / "robots/figure.yaml")
     up = body.figure.points_mm(body.poses["hands_up"])
-    top_mm = up["neck"][-1][2] + 110.0  # The head is a ball of 110 mm on the neck.
+    top_mm = up["neck"][-1][2] + 110.0  # The head stands 110 mm on the neck.
     assert min(up["left_forearm"][-1][2], up["right_forearm"][-1][2]) > top_mm
     wide = body.figure.points_mm(body.poses["arms_wide"])
     # Mirror images: the same but for the sign of y.
     np.testing.assert_allclose(wide["left_forearm"] * [1, -1, 1], wide["right_forearm"], atol=1e-9)
 
 
-def test_a_ball_stands_in_the_middle_of_its_link_and_turns_with_it():
+def test_an_ellipsoid_stands_in_the_middle_of_its_link_and_turns_with_it():
     ghost = load_robot(EXAMPLES / "robots/ghost.yaml")
     names = [link.name for link in ghost.figure.links]
     jaw = ghost.figure.links[names.index("jaw")]
     (ball,) = jaw.shapes
-    assert (jaw.lines_mm, ball.kind, ball.size_mm) == ((), "ball", (46.0, 42.0, 19.0))
+    assert (jaw.lines_mm, ball.kind, ball.size_mm) == ((), "ellipsoid", (46.0, 42.0, 19.0))
     heights = []
     for deg in (0.0, 40.0):
         rotation, origin = ghost.figure.placed({"jaw": deg})[names.index("jaw")]
@@ -150,6 +163,64 @@ def test_a_ball_stands_in_the_middle_of_its_link_and_turns_with_it():
         shape["shade"] for link in ghost.figure.as_json()["links"] for shape in link["shapes"]
     }
     assert shades == {None, "dark", "light"}
+
+
+def inside(shape, points):
+    """Whether points of a link are in one of its shapes, by the definition of the shape."""
+    local = (points - np.array(shape.origin_mm)) @ np.array(shape.rotation)
+    if shape.kind == "box":
+        return (np.abs(local) <= np.array(shape.size_mm) / 2 + 1e-9).all(axis=1)
+    if shape.kind == "ellipsoid":
+        return ((local / np.array(shape.size_mm)) ** 2).sum(axis=1) <= 1.0 + 1e-9
+    radius, length = shape.size_mm
+    away = local - np.clip(local, [0, 0, -length / 2], [0, 0, length / 2])
+    return np.linalg.norm(away, axis=1) <= radius + 1e-9
+
+
+def test_what_links_fill_and_weigh(tmp_path):
+    figure = load(
+        tmp_path,
+        "figure:\n"
+        "  bar: {along: [3, 0, 4], length_mm: 50, width_mm: 10, mass_kg: 0.2}\n"
+        "  rod: {along: [0, -1, -1], length_mm: 40, width_mm: 8, shape: capsule, shade: dark}\n"
+        "  box: {along: z, length_mm: 20, shape: box, size_mm: [4, 6, 30], mass_kg: 1,\n"
+        "        com_mm: [1, 2, 3]}\n"
+        "  egg: {shape: ellipsoid, size_mm: [10, 20, 30], offset_mm: [1, 2, 3]}\n"
+        "  none: {length_mm: 0}\n",
+    ).figure
+    solids = dict(zip([link.name for link in figure.links], figure.solids(), strict=True))
+    edges = {
+        "bar": ([[0, 0, 0], [30, 0, 40], [15 + 4, 0, 20 - 3], [33, 0, 44]], [[15, 5.1, 20]]),
+        "rod": ([[0, 0, 0], [0, 0, 4], [0, -28.28, -28.28]], [[0, 0, 4.1], [4.1, -14, -14]]),
+        "box": ([[2, 3, 25], [-2, -3, -5]], [[2.1, 0, 10], [0, 0, 25.1]]),
+        "egg": ([[5, 0, 0], [0, 10, 0], [0, 0, -15]], [[5, 1, 0], [0, 0, 15.1]]),
+    }
+    for name, (within, without) in edges.items():
+        (shape,) = solids[name]
+        assert inside(shape, np.array(within)).all(), name
+        assert not inside(shape, np.array(without)).any(), name
+    assert solids["none"] == ()
+    weights = {link.name: (link.mass_kg, link.com_mm) for link in figure.links}
+    assert weights["bar"] == (0.2, (15.0, 0.0, 20.0)), "its middle"
+    assert weights["box"] == (1.0, (1.0, 2.0, 3.0))
+    assert weights["egg"] == (None, (0.0, 0.0, 0.0)), "unknown"
+    draw = np.random.default_rng(2).normal(size=(5000, 3))
+    points = draw / np.linalg.norm(draw, axis=1)[:, None] * (figure.reach_mm + 1e-6)
+    for link, own in zip(figure.links, figure.solids(), strict=True):
+        for shape in own if link.shapes else ():
+            assert not inside(shape, points - np.array(link.origin_mm)).any(), link.name
+
+
+def test_the_masses_of_a_urdf_are_those_of_its_links(tmp_path):
+    inertial = '<inertial><origin xyz="0.01 0 -0.02"/><mass value="{}"/></inertial>'
+    for mass, known in (("0.25", (0.25, (10.0, 0.0, -20.0))), ("-1", (None, (0.0, 0.0, 0.0)))):
+        (tmp_path / "test.urdf").write_text(
+            URDF.replace('<link name="jaw"/>', f'<link name="jaw">{inertial.format(mass)}</link>')
+        )
+        figure = figure_of(load(tmp_path, NAMED))
+        (jaw,) = [link for link in figure.links if link.name == "jaw"]
+        assert (jaw.mass_kg, jaw.com_mm) == known
+        assert any("the mass counts as unknown" in note for note in figure.notes) == (mass == "-1")
 
 
 URDF = """\

@@ -9,8 +9,8 @@
 
 /**
  * @typedef {object} Shape
- * @property {"box" | "cylinder" | "sphere" | "ball" | "mesh"} kind a ball has three half axes
- * @property {number[]} size_mm
+ * @property {"box" | "cylinder" | "sphere" | "capsule" | "ellipsoid" | "mesh"} kind
+ * @property {number[]} size_mm as `Shape` of `robot/figure.py`
  * @property {number[]} origin_mm
  * @property {number[]} rotation nine numbers, by rows
  * @property {string | null} path
@@ -147,23 +147,39 @@ function widened(cloud, at, half_mm) {
   return isBeyond;
 }
 
-/** @param {Shape} shape two opposite points of it; of a mesh its corners once it is loaded */
+/** @param {Shape} shape points that it does not reach beyond; of a mesh its corners once it is loaded */
 function shapeCorners(shape) {
   if (shape.corners_mm !== undefined) return shape.corners_mm;
-  const [x, y, z] = shape.origin_mm;
+  return shape.kind === "mesh" ? [shape.origin_mm] : boxCorners(shape);
+}
+
+/** Corners of a box that are joined by an edge. */
+export const BOX_EDGES = [...Array(8).keys()].flatMap((corner) =>
+  [1, 2, 4].filter((bit) => !(corner & bit)).map((bit) => [corner, corner | bit]));
+
+/** Return the corners of the box round a shape that is no mesh, in its link. @param {Shape} shape */
+export function boxCorners(shape) {
   const [a, b = a, c = b] = shape.size_mm;
   const halves = {
     box: [a / 2, b / 2, c / 2],
     cylinder: [a, a, b / 2],
     sphere: [a, a, a],
-    ball: [a, b, c],
+    capsule: [a, a, a + b / 2],
+    ellipsoid: [a, b, c],
     mesh: [0, 0, 0],
   }[shape.kind];
-  const [dx, dy, dz] = halves;
-  return [
-    [x - dx, y - dy, z - dz],
-    [x + dx, y + dy, z + dz],
-  ];
+  return [...Array(8).keys()].map((corner) =>
+    pointOn(shape, halves.map((half, axis) => (corner & (1 << axis) ? half : -half))));
+}
+
+/** Return a point of a shape in its link. @param {Shape} shape @param {number[]} point */
+export function pointOn({ origin_mm, rotation }, point) {
+  return [0, 1, 2].map((row) => origin_mm[row] + dot3(rotation, 3 * row, point));
+}
+
+/** @param {number[]} rotation @param {number} at @param {number[]} point */
+function dot3(rotation, at, [x, y, z]) {
+  return rotation[at] * x + rotation[at + 1] * y + rotation[at + 2] * z;
 }
 
 /**

@@ -25,7 +25,9 @@ import {
   Vector3,
   WebGLRenderer,
 } from "../vendor/three.js";
-import { STRIDE, cloudOf, groundOf, isThick, linksApart, placeLinks } from "./kinematics.js";
+import {
+  BOX_EDGES, STRIDE, boxCorners, cloudOf, groundOf, isThick, linksApart, placeLinks, pointOn,
+} from "./kinematics.js";
 import { axesOf, distanceFor, extentsOf, middleOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 import { coloursOf } from "./stick.js";
@@ -196,7 +198,7 @@ function solidLink(link, materials) {
 function lineLink(link, material) {
   const group = new Group();
   group.matrixAutoUpdate = false;
-  const lines = [...link.lines_mm, ...link.shapes.filter((shape) => shape.kind === "ball").flatMap(ringsOf)];
+  const lines = [...link.lines_mm, ...link.shapes.flatMap(outlineOf)];
   const points = lines.flatMap((line) => line.slice(1).flatMap((point, i) => [...line[i], ...point]));
   if (points.length > 0) {
     const geometry = new BufferGeometry();
@@ -211,14 +213,25 @@ function lineLink(link, material) {
 /** Corners of a ring. */
 const RING_POINTS = 25;
 
-/** Return a ring round a ball in each of its three planes. @param {Shape} shape @returns {number[][][]} */
-function ringsOf({ origin_mm, size_mm }) {
+/** Return lines that show a shape as a wire in its link. @param {Shape} shape @returns {number[][][]} */
+function outlineOf(shape) {
+  const [a, b = a, c = b] = shape.size_mm;
+  if (shape.kind === "capsule") return [[pointOn(shape, [0, 0, -b / 2]), pointOn(shape, [0, 0, b / 2])]];
+  if (shape.kind === "box") {
+    const corners = boxCorners(shape);
+    return BOX_EDGES.map(([from, to]) => [corners[from], corners[to]]);
+  }
+  return shape.kind === "ellipsoid" ? ringsOf(shape, [a, b, c]) : [];
+}
+
+/** Return a ring round an ellipsoid in each of its three planes. @param {Shape} shape @param {number[]} half_mm */
+function ringsOf(shape, half_mm) {
   return [[0, 1], [1, 2], [2, 0]].map(([across, up]) => Array.from({ length: RING_POINTS }, (_, i) => {
     const turn = (2 * Math.PI * i) / (RING_POINTS - 1);
-    const point = [...origin_mm];
-    point[across] += size_mm[across] * Math.cos(turn);
-    point[up] += size_mm[up] * Math.sin(turn);
-    return point;
+    const point = [0, 0, 0];
+    point[across] = half_mm[across] * Math.cos(turn);
+    point[up] = half_mm[up] * Math.sin(turn);
+    return pointOn(shape, point);
   }));
 }
 
@@ -238,20 +251,25 @@ function bar(from, to, radius_mm, material) {
   return mesh;
 }
 
-/** Return a solid of a URDF file; null for a mesh, which is loaded. @param {Shape} shape @param {MeshLambertMaterial} material */
+/** Return a solid, of which those of three.js stand along y and ours along z; null for a mesh, which is loaded. @param {Shape} shape @param {MeshLambertMaterial} material */
 function solidShape(shape, material) {
   const [a, b, c] = shape.size_mm;
   const group = framed(shape);
   if (shape.kind === "box") group.add(new Mesh(new BoxGeometry(a, b, c), material));
   if (shape.kind === "sphere") group.add(new Mesh(new SphereGeometry(a, 24, 16), material));
-  if (shape.kind === "ball") {
+  if (shape.kind === "ellipsoid") {
     const ball = new Mesh(new SphereGeometry(1, 32, 24), material);
     ball.scale.set(a, b, c);
     group.add(ball);
   }
+  if (shape.kind === "capsule") {
+    const capsule = new Mesh(new CapsuleGeometry(a, b, 6, 14), material);
+    capsule.rotation.x = Math.PI / 2;
+    group.add(capsule);
+  }
   if (shape.kind === "cylinder") {
     const cylinder = new Mesh(new CylinderGeometry(a, a, b, 24), material);
-    cylinder.rotation.x = Math.PI / 2; // Those of three.js stand along y, those of URDF along z.
+    cylinder.rotation.x = Math.PI / 2;
     group.add(cylinder);
   }
   return shape.kind === "mesh" ? null : group;

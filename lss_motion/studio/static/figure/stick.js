@@ -1,7 +1,7 @@
 // @ts-check
 /** A figure on a 2D canvas. It works in every browser. `drawStick` is pure but for its context. */
 
-import { cloudOf, groundOf, isThick, linksApart, placeLinks, pointAt, STRIDE } from "./kinematics.js";
+import { boxCorners, cloudOf, groundOf, isThick, linksApart, placeLinks, pointAt, pointOn, STRIDE } from "./kinematics.js";
 import { dot, projected, projectionOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 
@@ -83,6 +83,16 @@ export function segmentsOf(figure, placed, ground_mm, to) {
         });
       }
     }
+    for (const shape of link.shapes) {
+      if (shape.kind !== "capsule") continue;
+      const [radius_mm, length_mm] = shape.size_mm;
+      const [from, end] = [-1, 1].map((side) =>
+        onScreen(placed, index, pointOn(shape, [0, 0, (side * length_mm) / 2]), ground_mm, to));
+      segments.push({
+        from, to: end, width_px: Math.max(WIDTH_LEAST_PX, 2 * radius_mm * to.px_per_mm), isThick: false,
+        near: (from[2] + end[2]) / 2, link: index, shade: shape.shade,
+      });
+    }
   });
   return segments.sort((one, two) => one.near - two.near);
 }
@@ -95,13 +105,51 @@ function onScreen(placed, link, point, ground_mm, to) {
 }
 
 /**
- * Return the balls of all links as ellipses in pixels.
+ * Return the boxes of all links as polygons in pixels.
+ * @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to
+ */
+export function boxesOf(figure, placed, ground_mm, to) {
+  return figure.links.flatMap((link, index) => link.shapes.filter((shape) => shape.kind === "box").map((shape) => {
+    const corners = boxCorners(shape).map((corner) => onScreen(placed, index, corner, ground_mm, to));
+    const near = corners.reduce((sum, corner) => sum + corner[2], 0) / corners.length;
+    return { link: index, near, shade: shape.shade, hull: hullOf(corners) };
+  }));
+}
+
+/** Return the convex polygon around points of the screen (Andrew's monotone chain). @param {number[][]} points */
+export function hullOf(points) {
+  const sorted = [...points].sort((one, two) => one[0] - two[0] || one[1] - two[1]);
+  const half = (/** @type {number[][]} */ row) => {
+    /** @type {number[][]} */
+    const chain = [];
+    for (const point of row) {
+      while (chain.length > 1 && !turnsLeft(chain[chain.length - 2], chain[chain.length - 1], point)) chain.pop();
+      chain.push(point);
+    }
+    return chain.slice(0, -1);
+  };
+  return [...half(sorted), ...half(sorted.reverse())];
+}
+
+/** @param {number[]} a @param {number[]} b @param {number[]} c */
+function turnsLeft(a, b, c) {
+  return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0;
+}
+
+/** @param {CanvasRenderingContext2D} ctx @param {ReturnType<typeof boxesOf>[number]} box */
+function boxPath(ctx, { hull }) {
+  hull.forEach(([x_px, y_px], i) => (i === 0 ? ctx.moveTo(x_px, y_px) : ctx.lineTo(x_px, y_px)));
+  ctx.closePath();
+}
+
+/**
+ * Return the ellipsoids of all links as ellipses in pixels.
  * @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to
  */
 export function ballsOf(figure, placed, ground_mm, to) {
-  return figure.links.flatMap((link, index) => link.shapes.filter((shape) => shape.kind === "ball").map((shape) => {
+  return figure.links.flatMap((link, index) => link.shapes.filter((shape) => shape.kind === "ellipsoid").map((shape) => {
     const [x_px, y_px, near] = onScreen(placed, index, shape.origin_mm, ground_mm, to);
-    // What the three half axes of the ball cover of the screen, as a 2 x 2 matrix of moments.
+    // What the three half axes of it cover of the screen, as a 2 x 2 matrix of moments.
     let [xx, xy, yy] = [0, 0, 0];
     shape.size_mm.forEach((radius_mm, axis) => {
       const along = [0, 4, 8].map((row) => placed[index * STRIDE + row + axis]);
@@ -125,16 +173,20 @@ function ballPath(ctx, ball) {
 
 /** @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to @param {Palette & { solid: string }} palette */
 function drawSolid(ctx, figure, placed, ground_mm, to, palette) {
-  const parts = [...segmentsOf(figure, placed, ground_mm, to), ...ballsOf(figure, placed, ground_mm, to)];
+  const parts = [
+    ...segmentsOf(figure, placed, ground_mm, to), ...ballsOf(figure, placed, ground_mm, to),
+    ...boxesOf(figure, placed, ground_mm, to),
+  ];
   // An edge around each part, so that parts in front of each other can be told apart.
   for (const part of parts.sort((one, two) => one.near - two.near)) {
     const shade = part.shade === null ? palette.solid : palette[part.shade];
-    if ("long_px" in part) {
+    if (!("from" in part)) {
       ctx.fillStyle = shade;
       ctx.strokeStyle = palette.edge;
       ctx.lineWidth = 1;
       ctx.beginPath();
-      ballPath(ctx, part);
+      if ("hull" in part) boxPath(ctx, part);
+      else ballPath(ctx, part);
       ctx.fill();
       ctx.stroke();
       continue;
@@ -171,6 +223,7 @@ function strokeLines(ctx, figure, placed, ground_mm, to, dot_px = 0, isDrawn = (
     ctx.lineTo(segment.to[0], segment.to[1]);
   }
   for (const ball of ballsOf(figure, placed, ground_mm, to)) if (isDrawn(ball.link)) ballPath(ctx, ball);
+  for (const box of boxesOf(figure, placed, ground_mm, to)) if (isDrawn(box.link)) boxPath(ctx, box);
   ctx.stroke();
   if (dot_px === 0) return;
   ctx.beginPath();
