@@ -11,7 +11,8 @@ file            what it is                                        called by
 `transmission`  its kinds: matrix, curve of a linkage, surface     `mechanisms`
 `mechanisms`    transmissions of a robot file, limits behind them  `servos`, `planning`
 `servos`        joints behind transmissions, and their servos      `load`
-`figure`        links that turn with joints, for pictures         `figure_links`, `urdf`, `gait`
+`figure`        links that turn with joints, their masses          `figure_links`, `urdf`, `gait`
+`dynamics`      the torques that a motion asks of a figure          `planning`
 `urdf`          a URDF file → `Figure`                            `gait`
 `figure_links`  the figure of a robot file                         `load`
 `file`          the keys of a robot file, their units and bounds  `load`, `show.file`

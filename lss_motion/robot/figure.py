@@ -1,4 +1,4 @@
-"""The figure of a robot: links that turn with joints, for pictures. No motion depends on it.
+"""The figure of a robot: links that turn with joints, for pictures and, with masses, for torques.
 
 Frames are those of ROS (REP 103): x forward, y left, z up, in mm. A `Figure` comes from `figure` of
 a robot file (`robot.load`), from its `urdf` (`robot.urdf`) or from the legs of a gait
@@ -89,6 +89,8 @@ class FigureLink(Struct, frozen=True, kw_only=True):
     """None: unknown."""
     com_mm: Vector = ORIGIN
     """Its centre of mass in its own frame; only with `mass_kg`."""
+    inertia_kg_m2: Rotation | None = None
+    """About that centre, in its own frame; None: that of its solids, filled evenly."""
 
 
 class Figure(Struct, frozen=True, kw_only=True):
@@ -99,6 +101,14 @@ class Figure(Struct, frozen=True, kw_only=True):
     feet: tuple[tuple[int, Vector], ...] = ()
     notes: tuple[str, ...] = ()
     """What of its file cannot be drawn, and why."""
+
+    @property
+    def has_masses(self) -> bool:
+        """Whether any link that a joint moves has a mass, without which there are no torques."""
+        moved: list[bool] = []
+        for link in self.links:
+            moved.append(link.joint is not None or (link.parent >= 0 and moved[link.parent]))
+        return any(link.mass_kg and own for link, own in zip(self.links, moved, strict=True))
 
     def placed(self, joint_deg: Mapping[str, float]) -> list[tuple[FloatArray, FloatArray]]:
         """Return rotation (3, 3) and origin (3,) mm of each link; a missing angle counts as rest.

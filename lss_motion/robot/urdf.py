@@ -319,10 +319,15 @@ class _UrdfPicture:
         lines = tuple((ORIGIN, end) for end in ends if math.hypot(*end) > 0.0)
         shapes = tuple(shape for visual in element.of("visual") if (shape := self._drawn(visual)))
         joint = above.get(name)
-        mass_kg, com_mm = self._mass(element)
+        mass_kg, com_mm, inertia = self._mass(element)
         if joint is None:
             return FigureLink(
-                name=name, lines_mm=lines, shapes=shapes, mass_kg=mass_kg, com_mm=com_mm
+                name=name,
+                lines_mm=lines,
+                shapes=shapes,
+                mass_kg=mass_kg,
+                com_mm=com_mm,
+                inertia_kg_m2=inertia,
             )
         origin_mm, rotation = self._file.frame(joint.element)
         is_still = joint.driver is None or joint.ratio == 0.0
@@ -341,22 +346,38 @@ class _UrdfPicture:
             shapes=shapes,
             mass_kg=mass_kg,
             com_mm=com_mm,
+            inertia_kg_m2=inertia,
         )
 
-    def _mass(self, element: UrdfElement) -> tuple[float | None, Vector]:
-        """Return the mass of a link in kg (None: unknown) and its centre of mass in mm."""
+    def _mass(self, element: UrdfElement) -> tuple[float | None, Vector, Rotation | None]:
+        """Return the mass of a link in kg (None: unknown), its centre in mm, and its inertia."""
         inertial = element.one("inertial")
         mass = None if inertial is None else inertial.one("mass")
         if inertial is None or mass is None:
-            return None, ORIGIN
+            return None, ORIGIN, None
         try:
             (mass_kg,) = self._file.numbers(mass, "value", 1)
             if mass_kg < 0.0:
                 self._file.refuse(mass, f"<mass>: value {mass_kg:g} must not be below 0")
-            return mass_kg, self._file.frame(inertial)[0]
+            com_mm, rotation = self._file.frame(inertial)
+            return mass_kg, com_mm, self._inertia(inertial.one("inertia"), rotation)
         except InputError as error:
             self._notes.append(f"line {error.line}: {error.reason}; the mass counts as unknown")
-            return None, ORIGIN
+            return None, ORIGIN, None
+
+    def _inertia(self, inertia: UrdfElement | None, rotation: Rotation) -> Rotation | None:
+        """Return an inertia in the frame of the link; None: the file has none."""
+        if inertia is None:
+            return None
+        xx, yy, zz, xy, xz, yz = (
+            self._file.number(inertia, key, 0.0)
+            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        )
+        if not any((xx, yy, zz)):
+            return None  # No body has that.
+        about = _times(rotation, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+        one, two, three = zip(*rotation, strict=True)
+        return _times(about, (one, two, three))
 
     def _drawn(self, visual: UrdfElement) -> Shape | None:
         """Return the shape of a `<visual>`, or note why it cannot be drawn."""
