@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lss_motion.files.source import Location
 
     Poses = Mapping[str, Mapping[str, float]]
+    Images = Mapping[str, tuple[str, int]]
 
 TIME_KEYS: Final = ("at_s", "after_s", "at_beat")
 TIME_DIGITS: Final = 6
@@ -354,7 +355,10 @@ def move_keys(
     def to(at_s: float) -> float:
         return at_s + by_s
 
-    return _moved(value, keys, poses, to, by_deg, ripple_s=by_s if ripple else 0.0)
+    def turned(angles: Mapping[str, float]) -> dict[str, float]:
+        return {name: angles[name] + by for name, by in by_deg.items() if name in angles}
+
+    return _moved(value, keys, poses, to, turned, ripple_s=by_s if ripple else 0.0)
 
 
 def scale_keys(
@@ -362,15 +366,56 @@ def scale_keys(
     keys: Iterable[KeyRef],
     poses: Poses,
     *,
-    about_s: float,
     ratio: float,
+    about_s: float | None = None,
+    about_deg: Mapping[str, float] = {},
 ) -> list[Edit]:
-    """Scale the times of keys about an instant."""
+    """Scale the times of keys about an instant, and the angles of joints about one of each."""
 
     def to(at_s: float) -> float:
+        if about_s is None:
+            return at_s
         return round((about_s + (at_s - about_s) * ratio) / TIME_MIN_S) * TIME_MIN_S
 
-    return _moved(value, keys, poses, to, {})
+    def turned(angles: Mapping[str, float]) -> dict[str, float]:
+        return {
+            name: about + (angles[name] - about) * ratio
+            for name, about in about_deg.items()
+            if name in angles
+        }
+
+    return _moved(value, keys, poses, to, turned)
+
+
+def mirror_keys(
+    value: Mapping[str, Any], keys: Iterable[KeyRef], poses: Poses, images: Images
+) -> list[Edit]:
+    """Exchange left and right of keys; a joint without an image stays as it is.
+
+    `images` gives for a joint that of the other side, and the sign of the angle there. Of joints
+    that are mirrored alone, the image takes the angle whatever it had.
+    """
+    found: list[Edit] = []
+    has_image = False
+    for track, refs in _tracks(value, keys, poses):
+        for ref in refs:
+            item = track.item(int(ref.place[-1]))
+            angles = track.angles(item)
+            own = [name for name in angles if ref.joints is None or name in ref.joints]
+            pairs = {name: images[name] for name in own if name in images}
+            gone: dict[str, float | None] = dict.fromkeys(pairs)
+            made = {image: sign * angles[name] for name, (image, sign) in pairs.items()}
+            if pairs:
+                has_image = True
+                track.without_pose(item)
+                track.set_angles(item, {**gone, **made})
+        found += track.edits()
+    if not has_image:
+        raise InputError(
+            "nothing to mirror: the robot file gives none of these joints an image; write pairs "
+            "under its key mirror"
+        )
+    return found
 
 
 def _moved(
@@ -378,7 +423,7 @@ def _moved(
     keys: Iterable[KeyRef],
     poses: Poses,
     to: Callable[[float], float],
-    by_deg: Mapping[str, float],
+    turned: Callable[[Mapping[str, float]], dict[str, float]],
     ripple_s: float = 0.0,
 ) -> list[Edit]:
     found: list[Edit] = []
@@ -394,9 +439,9 @@ def _moved(
                 item = track.split(item, ref.joints)
             item.at_s, item.is_edited = round(at_s, TIME_DIGITS), True
             moved.append(item)
-            if by_deg:
-                angles = track.angles(item)
-                own = {name: angles[name] + by for name, by in by_deg.items() if name in angles}
+            angles = track.angles(item)
+            names = angles.keys() if ref.joints is None else ref.joints
+            if own := turned({name: angles[name] for name in angles if name in names}):
                 track.set_angles(item, own)
         if ripple_s and moved:
             first_s = min(item.was_s for item in moved)

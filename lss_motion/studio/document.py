@@ -31,11 +31,11 @@ Unsaved edits are kept beside their file within a second; they come back after a
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
@@ -45,7 +45,7 @@ from lss_motion.show.key_edit import entries_at, lists_of, times_of
 from lss_motion.studio.allowed import path_inside, read, require_allowed
 from lss_motion.studio.drafts import Drafts, Stamp, stamp_of
 from lss_motion.studio.history import History
-from lss_motion.studio.operations import new_texts, word_of
+from lss_motion.studio.operations import RobotNames, new_texts, word_of
 from lss_motion.studio.planner import EditTrial, PlannerReply, Request
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ class Document:
     def _edit(self, operation: Any) -> None:  # noqa: ANN401  (what `new_texts` accepts)
         changed = {
             path: (before, after)
-            for path, (before, after) in new_texts(operation, self._text_of, self._poses()).items()
+            for path, (before, after) in new_texts(operation, self._text_of, self._robot()).items()
             if before != after
         }
         for path, (before, after) in changed.items():
@@ -287,13 +287,12 @@ class Document:
         """Return the text of a file as it is edited, by its full path."""
         return self._drafts.text(path)
 
-    def _poses(self) -> Mapping[str, Mapping[str, float]]:
-        """Return the angles of the poses of the robot, as the planner read them last."""
+    def _robot(self) -> RobotNames:
+        """Return the poses and images of the robot, as the planner read them last."""
         reply = self._newest if self._newest.robot else self.good
         if reply is None or not reply.robot:
-            return {}
-        poses: Mapping[str, Mapping[str, float]] = json.loads(reply.robot).get("poses", {})
-        return poses
+            return RobotNames()
+        return msgspec.json.decode(reply.robot, type=RobotNames)
 
     def model(self) -> dict[str, object]:
         """Return what the files of the show hold now, as edited; see the top of this module."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping  # noqa: TC003  (read by msgspec)
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted
@@ -21,7 +24,7 @@ from lss_motion.show import key_edit
 from lss_motion.studio.allowed import read, remembered, require_plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from lss_motion.files.yaml_source import YamlSource
@@ -30,14 +33,21 @@ if TYPE_CHECKING:
     TextOf = Callable[[str], tuple[Path, str]]
     """Returns the full path and the text of a file by the name that clients know."""
 
-KeyOperation = m.KeyMove | m.KeyScale | m.KeySet | m.KeyAdd | m.KeyDelete
+KeyOperation = m.KeyMove | m.KeyScale | m.KeyMirror | m.KeySet | m.KeyAdd | m.KeyDelete
 ItemOperation = m.ItemInsert | m.ItemDelete | m.ItemMove | m.ValueSet | m.ValueRename
+
+
+class RobotNames(Struct, frozen=True):
+    """What the edits of keys need of the robot: its poses, and the mirror images of its joints."""
+
+    poses: Mapping[str, Mapping[str, float]] = {}
+    mirror: Mapping[str, tuple[str, int]] = {}
 
 
 def new_texts(
     operation: m.AnyChange,
     text_of: TextOf,
-    poses: Mapping[str, Mapping[str, float]],
+    robot: RobotNames,
 ) -> dict[Path, tuple[str, str]]:
     """Return the text of each file of an operation, before and after it.
 
@@ -48,14 +58,14 @@ def new_texts(
         return {path: (text, _with_lines(operation, text))}
     return {
         path: (text, edited(path, text, edits, remembered))
-        for path, text, edits in _edits(operation, text_of, poses)
+        for path, text, edits in _edits(operation, text_of, robot)
     }
 
 
 def new_values(
     operation: m.AnyChange,
     text_of: TextOf,
-    poses: Mapping[str, Mapping[str, float]],
+    robot: RobotNames,
 ) -> dict[Path, YamlSource]:
     """Return what each file of an operation would hold after it; raises as `new_texts`."""
     if isinstance(operation, m.TextSet):
@@ -63,14 +73,14 @@ def new_values(
         return {path: read(path, _with_lines(operation, text)).source}
     return {
         path: with_edits_made(path, read(path, text).source, edits)
-        for path, text, edits in _edits(operation, text_of, poses)
+        for path, text, edits in _edits(operation, text_of, robot)
     }
 
 
 def _edits(
     operation: KeyOperation | ItemOperation,
     text_of: TextOf,
-    poses: Mapping[str, Mapping[str, float]],
+    robot: RobotNames,
 ) -> Iterator[tuple[Path, str, list[Edit]]]:
     """Yield each file of an operation with its text and the edits of it."""
     if not isinstance(operation, KeyOperation):
@@ -79,13 +89,13 @@ def _edits(
         return
     for file in dict.fromkeys(key.file for key in operation.keys):
         path, text = text_of(file)
-        yield path, text, _key_edits(operation, file, read(path, text).source.value, poses)
+        yield path, text, _key_edits(operation, file, read(path, text).source.value, robot)
 
 
 def word_of(operation: m.EditOperation) -> str:
     """Return what a person reads of a step: "move 3 keys"."""
     match operation:
-        case m.KeyMove() | m.KeyScale() | m.KeySet() | m.KeyAdd() | m.KeyDelete():
+        case m.KeyMove() | m.KeyScale() | m.KeyMirror() | m.KeySet() | m.KeyAdd() | m.KeyDelete():
             return f"{operation.op.partition('.')[2]} {counted(operation.keys, 'key')}"
         case m.TextSet():
             return f"edit the text of {operation.file}"
@@ -99,8 +109,9 @@ def _key_edits(
     operation: KeyOperation,
     file: str,
     value: Mapping[str, Any],
-    poses: Mapping[str, Mapping[str, float]],
+    robot: RobotNames,
 ) -> list[Edit]:
+    poses = robot.poses
     if isinstance(operation, m.KeyAdd):
         return key_edit.add_keys(value, _new_keys(operation, file), poses)
     keys = list(_refs(operation.keys, file))
@@ -115,8 +126,16 @@ def _key_edits(
                 ripple=operation.ripple,
             )
         case m.KeyScale():
-            about_s, ratio = operation.about_s, operation.ratio
-            return key_edit.scale_keys(value, keys, poses, about_s=about_s, ratio=ratio)
+            return key_edit.scale_keys(
+                value,
+                keys,
+                poses,
+                ratio=operation.ratio,
+                about_s=operation.about_s,
+                about_deg=operation.about_deg,
+            )
+        case m.KeyMirror():
+            return key_edit.mirror_keys(value, keys, poses, robot.mirror)
         case m.KeySet():
             require_plain([one for one in operation.values.values() if one is not None])
             return key_edit.set_keys(

@@ -45,6 +45,7 @@ def robot_view(robot: Robot, gait: Gait | None = None) -> dict[str, object]:
             for joint in robot.joints.values()
         ],
         "poses": {name: dict(angles) for name, angles in robot.poses.items()},
+        "mirror": robot.mirror,
         "groups": {name: list(joints) for name, joints in robot.groups.items()},
         "figure": figure,
         "figure_problem": figure_problem,

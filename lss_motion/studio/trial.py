@@ -17,7 +17,7 @@ from lss_motion.files.source import read_text, with_edits
 from lss_motion.files.yaml_source import with_values
 from lss_motion.playing.remote import edit_messages as m
 from lss_motion.studio.allowed import path_inside, read, require_harmless
-from lss_motion.studio.operations import new_values
+from lss_motion.studio.operations import RobotNames, new_values
 from lss_motion.studio.view_curves import packed
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def tried(
     try:
         with with_edits(texts):
             text_of = _reader(whole.folder)
-            values = new_values(operation, text_of, whole.show.robot.poses)
+            robot = whole.show.robot
+            values = new_values(operation, text_of, RobotNames(robot.poses, robot.mirror))
             for path, source in values.items():
                 before = read(path, read_text(path)).source.value
                 require_harmless(whole.folder, path, before, source.value)

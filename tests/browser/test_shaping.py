@@ -99,8 +99,8 @@ class Shaped:
 
 
 @contextmanager
-def shaping(studio, opened, folder, show=SHOW):
-    (folder / "two.yaml").write_text(ROBOT, encoding="utf-8")
+def shaping(studio, opened, folder, show=SHOW, robot=ROBOT):
+    (folder / "two.yaml").write_text(robot, encoding="utf-8")
     path = folder / "show.yaml"
     path.write_text(show, encoding="utf-8")
     with studio(path) as own, opened(own) as page:

@@ -61,6 +61,8 @@ const row = { kind: 'row', row: {}, at_s: 2 };
 const other = { ...finger(300, 50, 2) };
 const touch = { isTouch: true };
 const second = { ...down(row, touch), finger: other };
+const grab = { kind: 'grab', mode: 'move', at: finger(200, 50), hit: key };
+const steps = { kind: 'steps', by: { by_s: 0.01, by_deg: 0 } };
 return {
   'click on a key': told(down(key), up(200, 50)),
   'a slip is no drag': told(down(key), move(202, 51), up(202, 51)),
@@ -83,6 +85,13 @@ return {
     told(down(key, touch), move(240, 50), second, move(150, 50)),
   'another finger does not move the key':
     told(down(key), { ...move(240, 50), finger: finger(240, 50, 9) }),
+  'G, then a click': told(grab, move(240, 50), up(240, 50), down(row), up(240, 50)),
+  'G, arrow keys, Enter': told(grab, steps, steps, { kind: 'take' }),
+  'G, then Escape': told(grab, move(240, 50), { kind: 'drop' }),
+  'G, then a finger': told(grab, down(row, touch), move(260, 50), up(260, 50)),
+  'B, then a box from a key': told({ kind: 'arm' }, down(key), move(260, 90), up(260, 90)),
+  'B, then Escape': told({ kind: 'arm' }, { kind: 'drop' }),
+  'no G while dragging': told(down(key), move(240, 50), grab),
 };
 """
 TOLD = {
@@ -105,6 +114,13 @@ TOLD = {
     "two fingers": ["pan", "zoom"],
     "two fingers while a key is dragged": ["pinch", "choose draft undraft zoom"],
     "another finger does not move the key": ["press", "choose"],
+    "G, then a click": ["rest", "draft draft commit undraft"],
+    "G, arrow keys, Enter": ["rest", "draft draft draft commit undraft"],
+    "G, then Escape": ["rest", "draft draft undraft"],
+    "G, then a finger": ["rest", "draft draft commit undraft"],
+    "B, then a box from a key": ["rest", "draft box undraft"],
+    "B, then Escape": ["rest", "undraft"],
+    "no G while dragging": ["keys", "choose draft"],
 }
 
 
@@ -117,7 +133,8 @@ DRAFTS = """
 const finger = (x_px, y_px) => ({ id: 1, x_px, y_px });
 const drafted = (keys, hit, to, more = {}) => {
   const gesture = { kind: 'keys', from: finger(200, 50), at: finger(...to),
-    hit: { kind: 'key', at_s: 2, ...hit }, axis: 'free', isFine: false, snaps: false, ...more };
+    hit: { kind: 'key', at_s: 2, ...hit }, axis: 'free', isFine: false, snaps: false,
+    mode: 'move', isLoose: false, steps: { by_s: 0, by_deg: 0 }, ...more };
   const own = draft.draftOf(gesture, { view, seen, keys, cursor_s: 1, deg_per_px: 0.2 });
   return [own.by_s, own.by_deg, own.what, own.late && own.late.joint];
 };
@@ -135,6 +152,7 @@ return {
   'not beyond its range': drafted(pan, ref(1, 'pan'), [200, -900]),
   'not before the start': drafted(one, ref(1), [-900, 50]),
   'too fast, and which joint': drafted(one, ref(1), [390, 50]),
+  'by arrow keys': drafted(pan, ref(1, 'pan'), [200, 50], { steps: { by_s: 0.03, by_deg: -1.5 } }),
 };
 """
 DRAFTED = {
@@ -150,6 +168,7 @@ DRAFTED = {
     "not beyond its range": [0, 50, "", None],
     "not before the start": [-2, 0, "", "pan"],
     "too fast, and which joint": [1.9, 0, "", "pan"],
+    "by arrow keys": [0.03, -1.5, "", None],
 }
 
 

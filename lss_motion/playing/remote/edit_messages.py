@@ -75,11 +75,19 @@ class KeyMove(EditOperation, frozen=True, kw_only=True, tag="key.move"):
 
 
 class KeyScale(EditOperation, frozen=True, kw_only=True, tag="key.scale"):
-    """Scale the times of keys about an instant."""
+    """Scale the times of keys about an instant, or the angles of joints about one of each."""
 
     keys: Keys
-    about_s: AtS
     ratio: Annotated[float, Meta(ge=-RATIO_MAX, le=RATIO_MAX)]
+    about_s: AtS | None = None
+    """None: the times stay."""
+    about_deg: Annotated[dict[Name, Angle], Meta(max_length=100)] = field(default_factory=dict)
+
+
+class KeyMirror(EditOperation, frozen=True, kw_only=True, tag="key.mirror"):
+    """Exchange left and right of keys, as given under `mirror` in the robot file."""
+
+    keys: Keys
 
 
 class KeySet(EditOperation, frozen=True, kw_only=True, tag="key.set"):
@@ -158,6 +166,7 @@ class TextSet(EditOperation, frozen=True, kw_only=True, tag="text.set"):
 AnyChange = (
     KeyMove
     | KeyScale
+    | KeyMirror
     | KeySet
     | KeyAdd
     | KeyDelete

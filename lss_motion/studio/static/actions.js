@@ -12,8 +12,9 @@ import { layoutOf, walkedRows } from "./timeline/layout.js";
 const STEP_S = 0.01;
 const STEP_DEG = 0.5;
 /** What is done to keys, for which a person has to be allowed to edit, and what needs chosen ones. */
-const EDITS = new Set(["add", "delete", "cut", "paste", "ease", "anchor", "undo", "redo", "save", "hold", "label", "type_value"]);
-const OF_CHOSEN = new Set(["delete", "copy", "cut", "ease", "anchor", "hold", "label", "type_value"]);
+const EDITS = new Set(["add", "delete", "cut", "paste", "ease", "anchor", "undo", "redo", "save", "hold", "label", "type_value", "grab", "scale",
+  "duplicate", "mirror"]);
+const OF_CHOSEN = new Set(["delete", "copy", "cut", "ease", "anchor", "hold", "label", "type_value", "grab", "scale", "duplicate", "mirror"]);
 const GO_DEBOUNCE_MS = 400;
 const ZOOM = 1.5;
 
@@ -55,12 +56,17 @@ export class Actions {
       paste: () => this.editor.paste(),
       ease: () => this.editor.ease(),
       anchor: () => this.editor.anchor(),
+      grab: () => this.board?.grab("move"),
+      scale: () => this.board?.grab("scale"),
+      duplicate: () => this.board?.grab("copy"),
+      mirror: () => this.editor.mirror(),
+      choose_box: () => this.board?.arm(),
       undo: () => this.editor.ask("undo"),
       redo: () => this.editor.ask("redo"),
       save: () => this.editor.ask("save"),
       choose_all: () => this.editor.chooseAll(),
       choose_none: () => this.editor.choose([]),
-      type_value: () => this.#focusField(this.editor.keys[0]?.joint ?? "at"),
+      type_value: () => void (this.board?.take() || this.#focusField(this.editor.keys[0]?.joint ?? "at")),
       hold: () => this.#focusField("hold"),
       label: () => this.#focusField("label"),
       axis_time: () => void this.board?.lockAxis("time"),
@@ -238,6 +244,7 @@ export class Actions {
   step(by_s, by_deg) {
     const { cursor_s, row } = this.store.state.value;
     const { keys } = this.editor;
+    if (this.board?.step(by_s, by_deg)) return;
     if (keys.length > 0 && this.#mayDo("add")) this.editor.nudge(by_s, by_deg);
     else if (keys.length === 0 && by_deg === 0) this.moveTo(cursor_s + by_s);
     else if (keys.length === 0) this.toRow(row - Math.sign(by_deg));

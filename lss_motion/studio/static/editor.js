@@ -4,8 +4,8 @@
  * shown follows when it is planned; until then it is a draft.
  */
 
-import { addOf, copied, deleteOf, moveOf, nextEase, pasteOf, scaleOf, setOf } from "./edits.js";
-import { plannedAt, withinRange, withinShow } from "./timeline/draft.js";
+import { addOf, copied, deleteOf, editOf, mirrorOf, moveOf, nextEase, pasteOf, scaleOf, setOf } from "./edits.js";
+import { draggedTime, plannedAt, withinRange, withinShow } from "./timeline/draft.js";
 import { allKeys, placesOf, refound } from "./timeline/keys.js";
 import { layoutOf, walkedRows } from "./timeline/layout.js";
 
@@ -66,7 +66,18 @@ export class Editor {
   /** Move the chosen keys, and choose them where they are then. @param {{ by_s: number, by_deg: number }} by */
   move(by) {
     const { ripple } = this.store.state.value;
-    this.#edit((view, keys) => moveOf(view, keys, { ...by, ripple }), by.by_s);
+    this.#edit((view, keys) => moveOf(view, keys, { ...by, ripple }), (at_s) => at_s + by.by_s);
+  }
+
+  /** Take a draft; what it moves or copies is chosen then. @param {import("./timeline/draft.js").Draft} draft */
+  takeDraft(draft) {
+    const { ripple } = this.store.state.value;
+    this.#edit((view, keys) => editOf(view, keys, draft, ripple), (at_s) => draggedTime(draft, at_s));
+  }
+
+  /** Exchange left and right of the chosen keys. */
+  mirror() {
+    this.#edit(mirrorOf, (at_s) => at_s);
   }
 
   /** One step of an arrow key. @param {number} by_s @param {number} by_deg */
@@ -88,13 +99,14 @@ export class Editor {
     }
     const nudge = { ...step, gesture };
     const { ripple } = this.store.state.value;
-    this.#edit((now, keys) => moveOf(now, keys, { ...nudge, ripple }), step.by_s, nudge);
+    this.#edit((now, keys) => moveOf(now, keys, { ...nudge, ripple }), (at_s) => at_s + step.by_s, nudge);
   }
 
   /** Stretch the chosen keys about the cursor. @param {number} ratio */
   scale(ratio) {
     const { cursor_s } = this.store.state.value;
-    this.#edit((view, keys) => scaleOf(view, keys, cursor_s, ratio));
+    const scale = { ratio, about_s: cursor_s, about_deg: {} };
+    this.#edit((view, keys) => scaleOf(view, keys, scale), (at_s) => draggedTime({ by_s: 0, by_deg: 0, scale }, at_s));
   }
 
   /** Carry out an edit of the text that is shown. @param {Edit} edit */
@@ -190,12 +202,12 @@ export class Editor {
   }
 
   /**
-   * Return what moving the chosen keys would do, or null where that is not known now.
-   * @param {{ by_s: number, by_deg: number }} by @returns {Promise<import("./state.js").Tried | null>}
+   * Return what a draft would do, or null where that is not known now.
+   * @param {import("./timeline/draft.js").Draft} draft @returns {Promise<import("./state.js").Tried | null>}
    */
-  async triedMove(by) {
+  async triedDraft(draft) {
     const { view, ripple } = this.store.state.value;
-    const edit = view === null ? null : moveOf(view, this.keys, { ...by, ripple });
+    const edit = view === null ? null : editOf(view, this.keys, draft, ripple);
     return edit === null ? null : this.tried(edit);
   }
 
@@ -215,8 +227,8 @@ export class Editor {
   // ---------------------------------------------------------------- one after the other
 
   /** @param {(view: import("./state.js").View, keys: KeyRef[]) => Edit | null} make
-   * @param {number} [by_s] by how much the keys are later then @param {Nudge} [nudge] */
-  #edit(make, by_s = 0, nudge) {
+   * @param {(at_s: number) => number} [to] when the keys are then @param {Nudge} [nudge] */
+  #edit(make, to = (at_s) => at_s, nudge) {
     const { wanted, drafts } = this.store.state.value;
     const view = this.#view;
     if (view === null) return;
@@ -225,7 +237,7 @@ export class Editor {
     this.#send(() => {
       const now = this.#view;
       return now === null ? null : make(now, refound(now, places));
-    }, places.map((own) => ({ ...own, at_s: own.at_s + by_s })), nudge);
+    }, places.map((own) => ({ ...own, at_s: to(own.at_s) })), nudge);
   }
 
   /** @param {() => Edit | null} make @param {Place[]} wanted what is chosen then @param {Nudge} [nudge] */

@@ -45,10 +45,29 @@ export function moveOf(view, keys, { by_s, by_deg, ripple, gesture }) {
   return { op: "key.move", fields: { keys: own, by_s, by_deg: angles, ripple, ...more } };
 }
 
-/** @param {View} view @param {KeyRef[]} keys @param {number} about_s @param {number} ratio @returns {Edit | null} */
-export function scaleOf(view, keys, about_s, ratio) {
-  const own = addressesOf(view, keys.map((one) => ({ ...one, joint: null })));
-  return own.length === 0 || ratio === 1 ? null : { op: "key.scale", fields: { keys: own, about_s, ratio } };
+/** @param {View} view @param {KeyRef[]} keys @param {import("./timeline/draft.js").Scale} scale @returns {Edit | null} */
+export function scaleOf(view, keys, { about_s, about_deg, ratio }) {
+  const own = addressesOf(view, about_s === null ? keys : keys.map((one) => ({ ...one, joint: null })));
+  return own.length === 0 || ratio === 1 ? null : { op: "key.scale", fields: { keys: own, about_s, about_deg, ratio } };
+}
+
+/** Exchange left and right. @param {View} view @param {KeyRef[]} keys @returns {Edit | null} */
+export function mirrorOf(view, keys) {
+  const own = addressesOf(view, keys);
+  return own.length === 0 ? null : { op: "key.mirror", fields: { keys: own } };
+}
+
+/** What a draft does when it is taken. @param {View} view @param {KeyRef[]} keys
+ * @param {import("./timeline/draft.js").Change} change @param {boolean} ripple @returns {Edit | null} */
+export function editOf(view, keys, { by_s, by_deg, scale, isCopy }, ripple) {
+  if (scale != null) return scaleOf(view, keys, scale);
+  if (!isCopy) return moveOf(view, keys, { by_s, by_deg, ripple });
+  const turned = new Set(keys.flatMap(({ joint }) => joint ?? []));
+  const own = copied(view, keys).map((one) => ({
+    ...one, deg: Object.fromEntries(Object.entries(one.deg).map(([joint, deg]) => [joint, turned.has(joint) ? deg + by_deg : deg])),
+  }));
+  const first_s = Math.min(...keys.map(({ lane, key }) => view.lanes[lane]?.keys[key]?.at_s ?? Infinity));
+  return by_s === 0 && by_deg === 0 ? null : pasteOf(view, own, first_s + by_s);
 }
 
 /** @param {View} view @param {KeyRef[]} keys @param {boolean} ripple @returns {Edit | null} */

@@ -15,7 +15,7 @@ from lss_motion.playing.remote import schema as m
 from lss_motion.show.key_edit import entries_at, lists_of, times_of
 from lss_motion.studio.allowed import require_allowed
 from lss_motion.studio.history import History
-from lss_motion.studio.operations import new_texts
+from lss_motion.studio.operations import RobotNames, new_texts
 
 FILE = Path("/show/wave.yaml")
 SHOW = """\
@@ -34,7 +34,9 @@ keyframes:
     ease: linear
   - {at_s: 2.00, deg: {a: 5, b: 6}}
 """
-POSES = {"up": {"a": 10.0, "b": 20.0}}
+ROBOT = RobotNames(
+    poses={"up": {"a": 10.0, "b": 20.0}}, mirror={"a": ("b", -1), "b": ("a", -1), "c": ("c", 1)}
+)
 
 
 def key(index, *joints):
@@ -43,7 +45,7 @@ def key(index, *joints):
 
 def text_after(op, text=SHOW, **fields):
     operation = msgspec.convert({"op": op, "revision": 0, **fields}, m.AnyOperation, strict=False)
-    ((before, after),) = new_texts(operation, lambda _: (FILE, text), POSES).values()
+    ((before, after),) = new_texts(operation, lambda _: (FILE, text), ROBOT).values()
     assert before == text
     return after
 
@@ -139,6 +141,34 @@ def test_keys_are_added_set_and_deleted():
     assert lines_changed(SHOW, after)[1] == ["  - {at_s: 1.3, deg: {a: 5, b: 6}}"]
     after = text_after("key.delete", keys=[key(3, "a")])
     assert lines_changed(SHOW, after)[1] == ["  - {at_s: 2.00, deg: {b: 6}}"]
+
+
+def test_keys_are_mirrored_by_the_images_of_the_robot():
+    after = text_after("key.mirror", keys=[key(0), key(1), key(3)])
+    assert lines_changed(SHOW, after)[1] == [
+        "  - {deg: {a: -1.5, b: 0}, label: rest}   # at 0",
+        "  - {after_s: 0.5, deg: {b: -30}, hold_s: 0.2}",
+        "  - {at_s: 2.00, deg: {a: -6, b: -5}}",
+    ]
+    assert text_after("key.mirror", after, keys=[key(0), key(1), key(3)]).count("{a: 5, b: 6}") == 1
+    after = text_after("key.mirror", keys=[key(3, "a")])
+    assert lines_changed(SHOW, after)[1] == ["  - {at_s: 2.00, deg: {b: -5}}"]
+    after = text_after("key.mirror", keys=[key(2)])
+    assert "deg: {a: -20, b: -10}" in after, "a pose becomes angles"
+    assert "label: up" in after
+    text = SHOW.replace("a: ", "x: ").replace("b: ", "y: ")
+    with pytest.raises(InputError, match="pairs under its key mirror"):
+        text_after("key.mirror", text, keys=[key(0)])
+
+
+def test_keys_are_scaled_in_time_or_in_angle():
+    after = text_after("key.scale", keys=[key(1), key(3)], ratio=0.5, about_deg={"a": 10, "c": 0})
+    assert lines_changed(SHOW, after)[1] == [
+        "  - {after_s: 0.5, deg: {a: 20}, hold_s: 0.2}",
+        "  - {at_s: 2.00, deg: {a: 7.5, b: 6}}",
+    ]
+    after = text_after("key.scale", keys=[key(3)], ratio=2, about_s=1.5)
+    assert lines_changed(SHOW, after)[1] == ["  - {at_s: 2.5, deg: {a: 5, b: 6}}"]
 
 
 def test_keys_on_beats_stay_on_beats():
@@ -240,7 +270,7 @@ def random_operation(draw, value):
         one["joints"] = draw.sample(joints, draw.randint(1, len(joints)))
     shift = draw.choice([0.01, -0.01, 0.1, -0.25, 1.0, -1.5, 3.3])
     name = draw.choice(joints or ["a"])
-    match draw.randrange(7):
+    match draw.randrange(9):
         case 0 | 1:
             ripple = draw.random() < 0.3
             return {"op": "key.move", "keys": [one], "by_s": shift, "ripple": ripple}
@@ -255,6 +285,11 @@ def random_operation(draw, value):
         case 4:
             new = {"file": "w", "place": place, "at_s": abs(shift) * index, "deg": {name: shift}}
             return {"op": "key.add", "keys": [new]}
+        case 6:
+            return {"op": "key.mirror", "keys": [one]}
+        case 7:
+            about_deg = dict.fromkeys(joints, 5.0)
+            return {"op": "key.scale", "keys": [one], "ratio": 0.5, "about_deg": about_deg}
         case 5:
             return {"op": "key.delete", "keys": [one], "ripple": draw.random() < 0.5}
         case _:

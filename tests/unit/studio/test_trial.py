@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lss_motion.playing.remote import schema as m
-from lss_motion.studio.operations import new_texts
+from lss_motion.studio.operations import RobotNames, new_texts
 from lss_motion.studio.planner import EditTrial, Request, reply_to
 from lss_motion.studio.planning import Planner
 from lss_motion.studio.trial import tried
@@ -55,7 +55,7 @@ class Show:
 
     def planned(self, operation):
         """Return the plan of the whole after the edit."""
-        texts = new_texts(operation, lambda name: (self.path, self.path.read_text()), {})
+        texts = new_texts(operation, lambda name: (self.path, self.path.read_text()), RobotNames())
         kept = []
         data = {path: after.encode() for path, (_, after) in texts.items()}
         reply_to(Request(number=0, path=self.path, texts=data), kept.append)

@@ -6,7 +6,7 @@
 
 import { angleAt, usedOf, withinView } from "../curves.js";
 import { onFrame, requestFrame } from "../frames.js";
-import { draftName, draftOf, draftText } from "./draft.js";
+import { draftName, draftOf, draftText, isNothing } from "./draft.js";
 import { drawLive, drawNames, drawTimeline, scaleOf } from "./draw.js";
 import { drawBox, drawDraft } from "./draw_draft.js";
 import { afterInput, HELD_MS, REST } from "./gestures.js";
@@ -51,6 +51,8 @@ export class TimelineBoard {
   /** @type {import("./gestures.js").Gesture} */
   #gesture = REST;
   #held = 0;
+  /** Where the pointer was last. @type {import("./gestures.js").Finger} */
+  #pointer = { id: 0, x_px: 0, y_px: 0 };
   /** What the planner said last of a draft. @type {{ name: string, tried: import("../state.js").Tried | null }} */
   #trial = { name: "", tried: null };
   #isTrying = false;
@@ -258,7 +260,7 @@ export class TimelineBoard {
     const name = draftName(draft);
     if (this.#isTrying || name === this.#trial.name || draft.keys.length > TRIED_MAX) return;
     this.#isTrying = true;
-    const tried = await this.#editor.triedMove(draft);
+    const tried = await this.#editor.triedDraft(draft);
     this.#isTrying = false;
     this.#trial = { name, tried };
     if (this.#gesture.kind === "keys") this.#redraw();
@@ -291,7 +293,7 @@ export class TimelineBoard {
     const canvas = /** @type {HTMLCanvasElement} */ (event.currentTarget);
     canvas.setPointerCapture(event.pointerId);
     const hit = this.#hit(event);
-    if ((event.ctrlKey || event.metaKey) && hit?.kind === "row") {
+    if ((event.ctrlKey || event.metaKey) && hit?.kind === "row" && this.#gesture.kind === "rest") {
       this.#add(event, hit);
       return;
     }
@@ -305,6 +307,7 @@ export class TimelineBoard {
 
   /** @param {PointerEvent} event */
   #move(event) {
+    this.#pointer = fingerOf(event);
     if (this.#gesture.kind === "rest") {
       const kind = this.#hit(event)?.kind ?? "nothing";
       this.#element.style.cursor = kind === "key" ? "grab" : kind === "span" ? "pointer" : "";
@@ -363,6 +366,34 @@ export class TimelineBoard {
     return hasAny;
   }
 
+  /** Let the chosen keys follow the pointer and the arrow keys until a click or Enter.
+   * @param {import("./gestures.js").Mode} mode */
+  grab(mode) {
+    const [first] = this.#editor.keys;
+    const own = first === undefined ? undefined : this.#view?.lanes[first.lane]?.keys[first.key];
+    if (first === undefined || own === undefined) return;
+    this.#handle({ kind: "grab", mode, at: this.#pointer, hit: { kind: "key", ...first, at_s: own.at_s } });
+  }
+
+  /** Move what is dragged by a step of an arrow key; return whether anything is. @param {number} by_s @param {number} by_deg */
+  step(by_s, by_deg) {
+    this.#handle({ kind: "steps", by: { by_s, by_deg } });
+    return this.#gesture.kind === "keys";
+  }
+
+  /** Take what follows the pointer; return whether anything did. */
+  take() {
+    const isDragged = this.#gesture.kind === "keys";
+    this.#handle({ kind: "take" });
+    return isDragged;
+  }
+
+  /** Let the next drag draw a box, wherever it begins. */
+  arm() {
+    this.#handle({ kind: "arm" });
+    this.#element.style.cursor = "crosshair";
+  }
+
   /** Keep dragged keys on one axis, or let them free again; return whether any are dragged.
    * @param {"time" | "angle"} axis */
   lockAxis(axis) {
@@ -402,8 +433,8 @@ export class TimelineBoard {
   /** @param {import("./gestures.js").Gesture} gesture */
   #commit(gesture) {
     if (gesture.kind !== "keys") return;
-    const { by_s, by_deg } = this.#draft(gesture) ?? { by_s: 0, by_deg: 0 };
-    if (by_s !== 0 || by_deg !== 0) this.#editor.move({ by_s, by_deg });
+    const draft = this.#draft(gesture);
+    if (draft !== null && !isNothing(draft)) this.#editor.takeDraft(draft);
   }
 
   /** @param {import("./draft.js").KeysGesture} gesture */
@@ -443,8 +474,8 @@ export class TimelineBoard {
   /** @param {MouseEvent} event */
   #context(event) {
     event.preventDefault();
-    // A long touch has asked for it already.
-    if (/** @type {PointerEvent} */ (event).pointerType === "touch") return;
+    // It gives up what follows the pointer. A long touch has asked for the menu already.
+    if (this.dropDrags() || /** @type {PointerEvent} */ (event).pointerType === "touch") return;
     this.#menu({ x_px: event.offsetX, y_px: event.offsetY }, this.#hit(event));
   }
 

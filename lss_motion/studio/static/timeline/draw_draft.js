@@ -2,7 +2,7 @@
 /** What is drawn while keys are dragged or a box is drawn: above the plan, as the playhead is. Pure. */
 
 import { corridor } from "./estimate.js";
-import { around, draggedStop, isLate, splitOf } from "./draft.js";
+import { around, draggedStop, draggedTime, isLate, splitOf } from "./draft.js";
 import { diamond, KEY_PX, scaleOf } from "./draw.js";
 import { isChosen } from "./keys.js";
 import { isInSight, pixelOf, timeAt } from "./window.js";
@@ -33,7 +33,7 @@ export function drawDraft(ctx, scene, draft, { held, at, words, tried }) {
     if (row.kind === "lane") {
       const y_px = row.y_px + row.height_px / 2;
       const points = (view.lanes[row.index]?.keys ?? []).flatMap(({ at_s }, index) => (
-        isChosen(draft.keys, row.index, index, null) && isInSight(seen, at_s + draft.by_s) ? [{ x_px: pixelOf(seen, at_s + draft.by_s), y_px }] : []));
+        isChosen(draft.keys, row.index, index, null) && isInSight(seen, draggedTime(draft, at_s)) ? [{ x_px: pixelOf(seen, draggedTime(draft, at_s)), y_px }] : []));
       drawPoints(ctx, points, colour, palette.surface);
     }
     if (row.kind !== "joint" || scene.order !== 0) continue;
@@ -50,7 +50,7 @@ function drawJoint(ctx, scene, row, draft, held, colour) {
   const { y } = scaleOf(scene, row);
   for (const lane of new Set(draft.keys.map((one) => one.lane))) {
     if (view.lanes[lane]?.is_added) continue;
-    const split = splitOf(view, lane, row.name, draft.keys);
+    const split = splitOf(view, lane, row.name, draft.keys, draft.isCopy);
     if (split.moved.length === 0) continue;
     if (split.moved.length <= WAYS_MAX) drawWays(ctx, scene, split, draft, colour, y);
     if (held.joint === row.name && held.lane === lane && draft.keys.length === 1) drawCorridor(ctx, scene, row, around(split, 0, draft));

@@ -2,7 +2,8 @@
 /**
  * What pointers do on the timeline, as a pure function: `afterInput(gesture, input)` returns the
  * gesture that goes on and what is to be done. A key that is pressed is dragged, what is empty is
- * a box by mouse and a pan by finger, two fingers zoom, a long touch is the menu.
+ * a box by mouse and a pan by finger, two fingers zoom, a long touch is the menu. Keys that a key of
+ * the keyboard has taken (`isLoose`) follow the pointer, or the arrow keys, until a click or Enter.
  */
 
 /** @typedef {import("./hit.js").Hit} Hit */
@@ -14,16 +15,27 @@
  *   | { kind: "pan", at: Finger, from: Finger, isMoved: boolean, hit: Hit | null }
  *   | { kind: "pinch", at: Finger, other: Finger }
  *   | { kind: "press", at: Finger, from: Finger, hit: KeyHit, isAdded: boolean }
- *   | { kind: "keys", at: Finger, from: Finger, hit: KeyHit, axis: Axis, isFine: boolean, snaps: boolean }
+ *   | Dragged
+ *   | { kind: "armed" }
  *   | { kind: "box", at: Finger, from: Finger, isMoved: boolean, isAdded: boolean, hit: Hit | null }} Gesture
  */
 /** @typedef {"free" | "time" | "angle"} Axis */
+/** @typedef {"move" | "scale" | "copy"} Mode */
+/** @typedef {{ by_s: number, by_deg: number }} Steps those of the arrow keys */
+/**
+ * @typedef {{ kind: "keys", at: Finger, from: Finger, hit: KeyHit, axis: Axis, isFine: boolean, snaps: boolean,
+ *   mode: Mode, isLoose: boolean, steps: Steps }} Dragged
+ */
 /**
  * @typedef {{ kind: "down", finger: Finger, hit: Hit | null, isTouch: boolean, isMiddle: boolean, isAdded: boolean, isChosen: boolean }
  *   | { kind: "move", finger: Finger, isFine: boolean, snaps: boolean }
  *   | { kind: "up", finger: Finger }
  *   | { kind: "held" }
  *   | { kind: "axis", axis: "time" | "angle" }
+ *   | { kind: "grab", mode: Mode, at: Finger, hit: KeyHit }
+ *   | { kind: "steps", by: Steps }
+ *   | { kind: "take" }
+ *   | { kind: "arm" }
  *   | { kind: "drop" }} Input
  */
 /**
@@ -46,6 +58,8 @@ const APART_MIN_PX = 20;
 /** A key that is dragged along one axis stays on it until it has left it by so much. */
 export const STICKY_PX = 8;
 
+/** @type {Steps} */
+const NO_STEPS = { by_s: 0, by_deg: 0 };
 /** @type {Gesture} */
 export const REST = { kind: "rest" };
 
@@ -59,13 +73,36 @@ export function afterInput(gesture, input) {
     case "axis":
       if (gesture.kind !== "keys") return [gesture, []];
       return [{ ...gesture, axis: gesture.axis === input.axis ? "free" : input.axis }, [{ act: "draft" }]];
+    case "grab":
+      if (gesture.kind !== "rest" && gesture.kind !== "armed") return [gesture, []];
+      return [{ kind: "keys", at: input.at, from: input.at, hit: input.hit, axis: "free", isFine: false, snaps: false,
+        mode: input.mode, isLoose: true, steps: NO_STEPS }, [{ act: "draft" }]];
+    case "steps": {
+      if (gesture.kind !== "keys") return [gesture, []];
+      const { by_s, by_deg } = gesture.steps;
+      return [{ ...gesture, steps: { by_s: by_s + input.by.by_s, by_deg: by_deg + input.by.by_deg } }, [{ act: "draft" }]];
+    }
+    case "take":
+      return gesture.kind === "keys" && gesture.isLoose ? taken(gesture) : [gesture, []];
+    case "arm":
+      return [gesture.kind === "rest" ? { kind: "armed" } : gesture, []];
     default:
-      return [REST, gesture.kind === "keys" || gesture.kind === "box" ? [{ act: "undraft" }] : []];
+      return [REST, gesture.kind === "keys" || gesture.kind === "box" || gesture.kind === "armed" ? [{ act: "undraft" }] : []];
   }
+}
+
+/** @param {Dragged} gesture @returns {[Gesture, Act[]]} */
+function taken(gesture) {
+  return [REST, [{ act: "commit", gesture }, { act: "undraft" }]];
 }
 
 /** @param {Gesture} gesture @param {Extract<Input, { kind: "down" }>} input @returns {[Gesture, Act[]]} */
 function afterDown(gesture, { finger, hit, isTouch, isMiddle, isAdded, isChosen }) {
+  if (gesture.kind === "armed") return [{ kind: "box", at: finger, from: finger, isMoved: false, isAdded, hit }, []];
+  if (gesture.kind === "keys" && gesture.isLoose) {
+    // A finger has to come down before it can drag.
+    return isTouch ? [{ ...gesture, at: finger, from: finger, isLoose: false }, []] : taken(gesture);
+  }
   if (gesture.kind !== "rest") {
     if (!isTouch || gesture.at.id === finger.id) return [gesture, []];
     /** @type {Act[]} */
@@ -89,8 +126,9 @@ function away(one, other) {
 
 /** @param {Gesture} gesture @param {Extract<Input, { kind: "move" }>} input @returns {[Gesture, Act[]]} */
 function afterMove(gesture, { finger, isFine, snaps }) {
-  if (gesture.kind === "rest") return [gesture, []];
+  if (gesture.kind === "rest" || gesture.kind === "armed") return [gesture, []];
   if (gesture.kind === "pinch") return afterPinch(gesture, finger);
+  if (gesture.kind === "keys" && gesture.isLoose) return [{ ...gesture, at: finger, isFine, snaps }, [{ act: "draft" }]];
   if (gesture.at.id !== finger.id) return [gesture, []];
   switch (gesture.kind) {
     case "cursor":
@@ -103,7 +141,7 @@ function afterMove(gesture, { finger, isFine, snaps }) {
     case "press": {
       if (away(gesture.from, finger) < DRAG_PX) return [gesture, []];
       const { from, hit, isAdded } = gesture;
-      return [{ kind: "keys", at: finger, from, hit, axis: "free", isFine, snaps },
+      return [{ kind: "keys", at: finger, from, hit, axis: "free", isFine, snaps, mode: "move", isLoose: false, steps: NO_STEPS },
         [...(isAdded ? [/** @type {Act} */ ({ act: "choose", hit, isAdded: true })] : []), { act: "draft" }]];
     }
     case "keys":
@@ -127,7 +165,7 @@ function afterPinch(gesture, finger) {
 
 /** @param {Gesture} gesture @param {Finger} finger @returns {[Gesture, Act[]]} */
 function afterUp(gesture, finger) {
-  if (gesture.kind === "rest") return [gesture, []];
+  if (gesture.kind === "rest" || gesture.kind === "armed" || gesture.kind === "keys" && gesture.isLoose) return [gesture, []];
   if (gesture.kind === "pinch") {
     const left = gesture.at.id === finger.id ? gesture.other : gesture.at;
     return [{ kind: "pan", at: left, from: left, isMoved: true, hit: null }, []];
@@ -137,7 +175,7 @@ function afterUp(gesture, finger) {
     case "press":
       return [REST, [gesture.isAdded ? { act: "toggle", hit: gesture.hit } : { act: "choose", hit: gesture.hit, isAdded: false }]];
     case "keys":
-      return [REST, [{ act: "commit", gesture }, { act: "undraft" }]];
+      return taken(gesture);
     case "box": {
       const { from, at, isAdded, isMoved, hit } = gesture;
       if (isMoved) return [REST, [{ act: "box", from, to: at, isAdded }, { act: "undraft" }]];
@@ -158,7 +196,7 @@ function afterHeld(gesture) {
 }
 
 /** Return by how many pixels dragged keys are away: along one axis as long as it is little off it.
- * @param {Extract<Gesture, { kind: "keys" }>} gesture @returns {{ by_px: number, up_px: number }} */
+ * @param {Dragged} gesture @returns {{ by_px: number, up_px: number }} */
 export function draggedBy({ at, from, axis }) {
   const by_px = at.x_px - from.x_px;
   const up_px = from.y_px - at.y_px;
