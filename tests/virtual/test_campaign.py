@@ -96,6 +96,7 @@ FOUND_MIXED = (
     60333,  # A lag turned out to be larger: three moves of a joint left at once.
     92583,  # Each approach sent a joint in EM0 out of its range by the noise of a reading.
     90543,  # Two queries to one overdue servo delayed a joint in EM0: its filter braked.
+    803931,  # All servos restarted when they were set up for the second time.
     90345,  # Lines that arrived as one, and late, made a filter brake: nobody's doing.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

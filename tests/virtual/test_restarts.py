@@ -60,6 +60,28 @@ def test_a_servo_that_was_away_for_however_short_gets_its_settings_before_it_mov
     assert np.abs(end_deg).max() < 1.0
 
 
+@pytest.mark.parametrize("at_s", [1.5, 1.58, 1.62, 1.66, 1.7, 1.74])
+def test_servos_that_restart_while_they_are_set_up_again_get_their_settings(stage, kit, at_s):
+    """All restart while a slow line gives them their settings after one was away."""
+    first = Fault(kind=FaultKind.DEAF, servo_id=3, at_s=at_s - 0.6, until_s=at_s - 0.55)
+    again = Fault(kind=FaultKind.RESET, at_s=at_s, deaf_s=1.25)
+    sequence = kit.sequence(3, 4.0, seed=5, swing_deg=50.0, step_s=(0.9, 1.3))
+    played = stage.play(kit.robot(3, baud_bps=9600), sequence, faults=[first, again])
+    assert played.report.outcome == "finished"
+    assert moves_without_settings(played, at_s, 1.25) == []
+
+
+@pytest.mark.parametrize("lost", [0.3, 0.5])
+def test_servos_that_restart_again_and_again_while_they_are_set_up_end_the_run(stage, kit, lost):
+    """On a line that loses answers besides: each round of set-up meets a servo that was away."""
+    faults = [Fault(kind=FaultKind.LOST_REPLY, at_s=0.5, ratio=lost)]
+    faults += [Fault(kind=FaultKind.RESET, at_s=1.0 + 0.7 * n, deaf_s=0.3) for n in range(60)]
+    sequence = kit.sequence(3, 4.0, seed=5, swing_deg=50.0, step_s=(0.9, 1.3))
+    played = stage.play(kit.robot(3, baud_bps=19200), sequence, faults=faults)
+    assert played.report.outcome == "fault"
+    assert {fault.kind for fault in played.report.faults} <= {Cause.RESTARTED, Cause.SILENT}
+
+
 def test_two_restarts_around_the_approach(stage, kit):
     played = show(stage, kit, [restart(0.4, 0.1), restart(1.0, 0.1)])
     assert played.report.outcome == "finished"

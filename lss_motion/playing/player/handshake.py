@@ -345,8 +345,8 @@ class SettingsDialogue:
 
 
 STALE_NS: Final = NS_PER_S
-"""After so long settings are set and read again before anything moves. Chosen: longer than that
-takes with servos that all answer; one that restarts is silent for longer."""
+"""After so long the settings of all servos are examined before anything moves. Chosen: longer than
+that takes with servos that all answer; one that restarts is silent for longer."""
 AWAY_NS: Final = NS_PER_S // 4
 """Another servo is not put in the place of one in less. Chosen."""
 
@@ -356,12 +356,10 @@ class Preparation(NamedTuple):
 
     from_ns: int = 0
     timeouts: int = 0
-    is_repeated: bool = False
-    """They are set for the second time, since the first time took long."""
 
-    def is_stale(self, now_ns: int) -> bool:
-        """Return whether the first servo may have restarted while others were set."""
-        return now_ns - self.from_ns > STALE_NS and not self.is_repeated
+    def is_doubtful(self, timeouts: int, now_ns: int) -> bool:
+        """Return whether a servo may have restarted since its settings were read."""
+        return now_ns - self.from_ns > STALE_NS or timeouts > self.timeouts
 
     def has_missed(self, timeouts: int, now_ns: int) -> bool:
         """Return whether a servo may have been away meanwhile."""

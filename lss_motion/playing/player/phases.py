@@ -48,9 +48,9 @@ TRANSITIONS: Final[Mapping[Phase, Mapping[Phase, str]]] = MappingProxyType(
             Phase.DONE: "an abort",
         },
         Phase.PREPARE: {
-            Phase.PREPARE: "a servo may have been away, or have restarted, while others were set",
+            Phase.PREPARE: "every servo is the same as before a person was waited for",
             Phase.APPROACH: "every servo has its settings and says where it stands",
-            Phase.RECOVER: "a servo or a port that was back is gone again, if there is time",
+            Phase.RECOVER: "a servo was away or has restarted while others were set; a lost port",
             Phase.RESTORE: "a servo does not take its settings, or is in another turn; a stop",
             Phase.DONE: "an abort",
         },
@@ -156,7 +156,7 @@ class PhaseMachine:
         self._ready_ns = 0
         """When a person was asked to start."""
         self._asked_ns = 0
-        """When the servos were asked last where they stand after an approach."""
+        """When the servos were asked last where they stand, before or after an approach."""
         self._arrived_ns: int | None = None
         """When the approach had come to its end while added shows go on."""
 
@@ -310,7 +310,7 @@ class PhaseMachine:
             self._judge_arrival(now_ns)
         else:
             self.streamer = None
-            self.dialogue, self._asked_ns = self.session.arrival_dialogue(), now_ns
+            self._examine(now_ns)
 
     def _after_show(self, now_ns: int) -> None:
         """End the run: its only show is over, or the robot has stopped; else hold all joints."""
@@ -335,8 +335,8 @@ class PhaseMachine:
                 self._prepared(dialogue, now_ns)
             case Phase.RECOVER:
                 self.dialogue = self.faults.proof(dialogue.answers)
-            case Phase.APPROACH:
-                self._arrived(dialogue.answers, now_ns)
+            case Phase.PREPARE | Phase.APPROACH:
+                self._examined(dialogue.answers, now_ns)
             case _:
                 self.finish(now_ns)
         self.report_faults()
@@ -378,10 +378,10 @@ class PhaseMachine:
             self._enter(Phase.RECOVER)
             return
         self.session.note_proved(preflight.joints, now_ns)
-        if self.phase is Phase.PREPARE and self._preparation.is_repeated:
-            self._approach(now_ns)
+        if self.phase is Phase.PREPARE and self.has_set:
+            self._examine(now_ns)
         else:
-            self.prepare(is_repeated=self.phase is Phase.PREPARE)
+            self.prepare()
 
     def go(self) -> None:
         """Begin to move, as a person wants it.
@@ -392,13 +392,12 @@ class PhaseMachine:
         if self.now_ns - self._ready_ns < AWAY_NS:
             self.prepare()
             return
-        self._preparation = Preparation(self.now_ns, self.session.timeouts)
         self._enter(Phase.PREPARE)
         self.dialogue = self.session.proof(self.session.driven, {})
 
-    def prepare(self, *, is_repeated: bool = False) -> None:
+    def prepare(self) -> None:
         self.has_set, self._approaches = True, 0
-        self._preparation = Preparation(self.now_ns, self.session.timeouts, is_repeated)
+        self._preparation = Preparation(self.now_ns, self.session.timeouts)
         self._enter(Phase.PREPARE)
         self.dialogue = self.session.settings_dialogue()
 
@@ -415,10 +414,14 @@ class PhaseMachine:
             self.dialogue = self.session.proof(self.session.driven, settings.answers)
         elif away := self.session.unproved():  # While others were waited for.
             self.dialogue = self.session.proof(away, settings.answers)
-        elif self._preparation.is_stale(now_ns):
-            self.prepare(is_repeated=True)
+        elif self._preparation.is_doubtful(self.session.timeouts, now_ns):
+            self._examine(now_ns)
         else:
             self._approach(now_ns)
+
+    def _examine(self, now_ns: int) -> None:
+        """Ask the servos, which rest, where they stand, and whether they have their settings."""
+        self.dialogue, self._asked_ns = self.session.arrival_dialogue(), now_ns
 
     def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
         """End the run if a joint is in another turn than it was: no move takes it back."""
@@ -477,8 +480,8 @@ class PhaseMachine:
         """Return the angles of the driven joints from which the show begins, or goes on."""
         return self.added.places(self.present.pose_deg(now_ns), now_ns)
 
-    def _arrived(self, answers: Answers, now_ns: int) -> None:
-        """Go on with the show if every joint is where it begins; else repeat the approach."""
+    def _examined(self, answers: Answers, now_ns: int) -> None:
+        """Go on if every servo has its settings: with the approach, or with what follows it."""
         if self._has_lost_turns(answers, now_ns):
             return
         silent = self.session.note_positions(answers)
@@ -491,6 +494,8 @@ class PhaseMachine:
                 self.end("fault", now_ns)
             case Verdict.RECOVER:
                 self.recover(now_ns)
+            case Verdict.CONTINUE if self.phase is Phase.PREPARE:
+                self._approach(now_ns)
             case Verdict.CONTINUE:
                 self._judge_arrival(now_ns)
 
