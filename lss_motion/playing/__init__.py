@@ -13,6 +13,7 @@
 | `connection.py`     | the open ports of a robot                      | `run`, `live`, `cli`     |
 | `discovery.py`      | servos on a bus, their condition, their limits | `connection`, `cli`      |
 | `hands_on.py`       | joints moved by hand: limp, held, read         | `live`, `cli`            |
+| `joint_view.py`     | angles and faults of servos as those of joints | `remote`, `live`         |
 | `runner.py`         | the loop; threads, processes and waits         | `run`, `connection`      |
 | `performer.py`      | functions and sounds of a show: the pipes      | `run`                    |
 | `performer_process` | the process that calls and plays them          | `performer`              |

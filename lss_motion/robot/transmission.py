@@ -33,6 +33,8 @@ GRID_CHECKS: Final = 41
 """Places along each joint at which a measured surface is examined."""
 NEWTON_STEPS: Final = 12
 """Measured over random surfaces: at most 6 were needed for 1e-9 deg."""
+NEWTON_DEG: Final = 1e-9
+"""A smaller step ends the search: the error left is about the square of it."""
 SMOOTH_POINTS_MIN: Final = 5
 """What a smoothing spline needs."""
 
@@ -111,7 +113,10 @@ class LinkageCurve(Struct, frozen=True, dict=True):
         joint_deg, rising_deg = self._fine
         found = np.interp(servo_deg, rising_deg, joint_deg)
         for _ in range(NEWTON_STEPS):
-            found = found - (self.servo_deg(found) - servo_deg) / self.slopes(found)[:, :, 0]
+            step = (self.servo_deg(found) - servo_deg) / self.slopes(found)[:, :, 0]
+            found = found - step
+            if np.abs(step).max(initial=0.0) < NEWTON_DEG:
+                break
         return np.asarray(found)
 
     def turn_deg(self) -> float | None:
@@ -177,14 +182,22 @@ class Grid(Struct, frozen=True, dict=True):
         return np.asarray(value + self._at(inside, 0, 2) * (b**2)[:, None])
 
     def joint_deg(self, servo_deg: FloatArray) -> FloatArray:
-        places = self._places()
-        known = self.servo_deg(places)
+        places, known = self._known
         nearest = ((servo_deg[:, None, :] - known[None]) ** 2).sum(axis=2).argmin(axis=1)
         found = places[nearest]
         for _ in range(NEWTON_STEPS):
             missing = servo_deg - self.servo_deg(found)
-            found = found + np.einsum("njs,ns->nj", np.linalg.pinv(self.slopes(found)), missing)
+            step = np.einsum("njs,ns->nj", np.linalg.pinv(self.slopes(found)), missing)
+            found = found + step
+            if np.abs(step).max(initial=0.0) < NEWTON_DEG:
+                break
         return np.asarray(found)
+
+    @cached_property
+    def _known(self) -> tuple[FloatArray, FloatArray]:
+        """Joint angles all over the grid and their servos, for a first guess of the inverse."""
+        places = self._places()
+        return places, self.servo_deg(places)
 
     def _places(self, count: int = 9) -> FloatArray:
         a = np.linspace(self.first_deg[0], self.first_deg[-1], count)

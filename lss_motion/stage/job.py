@@ -20,6 +20,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.texts import known_names
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
 from lss_motion.playing.remote.job import Outcome
@@ -129,7 +130,8 @@ class StageJob(DirectedJob, frozen=True, kw_only=True):
             self.planned, options, steerer=steering, note=log.write, legs=legs, outs=outs
         )
         moved = {name for one in run.programs.values() for name in one.start_deg}
-        steering.begin(run, run.robot, filter(moved.__contains__, run.robot.joints), self.plans)
+        servos = filter(moved.__contains__, run.robot.servo_robot.joints)
+        steering.begin(run, run.robot, JointView(run.robot).joints_of(servos), self.plans)
         run.record("begins", "the stage begins")
         for text in texts:
             run.record("timecode", f"timecode: {text}")

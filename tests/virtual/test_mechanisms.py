@@ -11,10 +11,16 @@ import pytest
 from msgspec.structs import replace
 
 from lss_motion.planning import shows
+from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.job import Job, play
+from lss_motion.playing.remote.stage_messages import Change
 from lss_motion.playing.run import perform
+from lss_motion.playing.targets import TargetRule
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.sim.faults import Fault, FaultKind
 from tests.unit.robot.test_mechanisms import HEAD, eyes_csv
+from tests.virtual.test_remote import S, SteeringClient, at, run, sends
 
 if TYPE_CHECKING:
     from lss_motion.planning.shows import Show
@@ -106,8 +112,6 @@ def lines_of(result: Result[Any]) -> list[bytes]:
 
 def test_a_silent_servo_of_a_mechanism_holds_all_of_it(show: Show) -> None:
     """Also where the show says to go on: one servo of a mechanism cannot go on alone."""
-    from lss_motion.sim.faults import Fault, FaultKind
-
     lax = replace(show.program, on_fault={Cause.SILENT: (FaultStep.WARN,)})
     fault = Fault(kind=FaultKind.LOST_REPLY, at_s=4.0, servo_id=5)
     result = played(replace(show, program=lax), faults=(fault,))
@@ -116,8 +120,6 @@ def test_a_silent_servo_of_a_mechanism_holds_all_of_it(show: Show) -> None:
 
 
 def test_servos_of_a_mechanism_go_limp_together(tmp_path: Path) -> None:
-    from lss_motion.sim.faults import Fault, FaultKind
-
     pair = "shoulder: {kind: pair, on_fault: {silent: limp},"
     show = prepared(tmp_path)
     text = (tmp_path / "head.yaml").read_text(encoding="utf-8")
@@ -194,22 +196,72 @@ def test_worse_robots_are_tried_with_mechanisms_planned_and_compiled(tmp_path: P
         assert found.rms_deg < 0.3
 
 
-def test_a_process_that_is_steered_refuses_such_a_robot(show: Show) -> None:
-    """Its clients take the names of its events for joints."""
-    from lss_motion.playing.remote.job import Job, play
+def test_a_client_of_a_show_gets_joints(show: Show) -> None:
+    """Its clients take the names of its events for joints, and draw angles of joints."""
+    client = SteeringClient()
+    result = run((show.robot, show.program, show.trajectory), client, seed=5)
+    assert result.report.outcome == "finished"
+    assert client.of(m.Started)[0].joints == tuple(JOINTS)
+    assert show.trajectory is not None
+    playing = [one for one in client.telemetry if one.rate == 1.0 and 0.1 < one.show_s < 2.9]
+    assert len(playing) > 15
+    planned = show.trajectory.sample(np.array([one.show_s for one in playing]))
+    angles = np.array([one.angles_deg for one in playing])
+    # The servos are told to the nearest tenth of a degree, and the moves are within 0.2 deg.
+    assert np.abs(angles[:, :, 0] - planned).max() < 0.5
+    assert np.abs(angles[:, :, 1] - planned).max() < 2.0
+    is_read = np.isfinite(angles[-1, :, 2])
+    assert is_read.all()
+    health = [one for one in client.of(m.Health) if one.joints]
+    assert {*health[-1].joints} == {*JOINTS}
+    assert health[-1].joints["tilt"].allowed_deg == show.robot.joints["tilt"].following_deg
+    errors = [one.joints["tilt"].error_deg for one in health]
+    assert max(abs(e) for e in errors if e is not None) < 3.0
+    ended = client.of(m.Ended)[0]
+    assert ended.report is not None
+    assert {*ended.report["joints"]} == {*JOINTS}
 
-    class Steering:
-        def __init__(self) -> None:
-            self.ended: list[Any] = []
 
-        def on_event(self, event: Any) -> None: ...
+def test_a_fault_of_a_servo_is_told_as_one_of_its_joint(show: Show) -> None:
+    client = SteeringClient()
+    fault = Fault(kind=FaultKind.LOST_REPLY, at_s=4.0, servo_id=5)
+    result = run((show.robot, show.program, show.trajectory), client, seed=5, faults=(fault,))
+    assert result.report.outcome == "fault"
+    found = client.of(m.FaultFound)
+    assert {one.joint for one in found} == {"tilt"}
+    assert all(one.cause.startswith("left servo of neck: ") for one in found)
 
-        def on_turn(self, player: Any, now_ns: int) -> None: ...
 
-        def end(self, message: Any) -> None:
-            self.ended.append(message)
-
-    steering: Any = Steering()
-    outcome = play(Job(shows=show.program, robot=show.robot), steering)
+def test_what_a_walk_cannot_do_is_refused_by_name(show: Show) -> None:
+    job = Job(shows=show.program, robot=show.robot, targets=TargetRule())
+    client = SteeringClient()
+    outcome = play(job, client.steering)
+    client.close()
+    assert "targets" in str(outcome.error)
     assert "nothing was sent to a servo" in str(outcome.error)
-    assert steering.ended[0].exit_code == 2
+
+
+def test_a_stage_plays_shows_of_such_a_robot(show: Show) -> None:
+    """One show after the other, to the horns of one run."""
+    script = [
+        (at(1.0), sends(Change(id=1, show="other"))),
+        (lambda _, now_ns: now_ns > 12 * S, sends(m.Stop(id=2))),
+    ]
+    client = SteeringClient(script=script)
+    other = replace(show.program, name="other")
+    programs = {"s": show.program, "other": other}
+    job = Job(shows=programs, robot=show.robot, options={"is_virtual": True, "first": "s"})
+    on_turn = client.steering.on_turn
+
+    def turn(player: Any, now_ns: int) -> None:
+        on_turn(player, now_ns)
+        client.read()
+
+    client.steering.on_turn = turn
+    outcome = play(job, client.steering)
+    client.read()
+    client.close()
+    assert outcome.error is None
+    assert client.of(m.Started)[0].joints == tuple(JOINTS)
+    assert [one.name for one in client.of(m.ShowStarted)][:2] == ["s", "other"]
+    assert {len(one.angles_deg) for one in client.telemetry} == {len(JOINTS)}

@@ -61,8 +61,10 @@ class Repertoire:
         """Take the programs by name, and the sensors that are watched besides theirs.
 
         `pace`: how often angles are queried; None: as often as the lines allow. `only` is the
-        program of a run that ends with it, and then is the one in `programs`.
+        program of a run that ends with it, and then is the one in `programs`. Programs name the
+        servos of the robot.
         """
+        robot = robot.servo_robot
         self.pace = pace
         self.programs = {name: _named(one, name) for name, one in programs.items()}
         self.only = only

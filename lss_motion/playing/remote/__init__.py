@@ -11,6 +11,7 @@ are kept, up to a bound.
 | `edit_messages` | operations on the files of a studio                     | `schema`, `studio` |
 | `stage_messages` | operations and events of a stage                       | `schema`, `stage`  |
 | `message`      | base of all messages; where every joint is, as bytes     | `schema`, both ends |
+| `joint_health` | what servos reported, as that of joints                  | `player_end`       |
 | `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end`  |
 | `player_end`   | a show: applies operations, sends what happens           | `job`              |
 | `job`          | what is played, and how it ended                         | `handle`, `stage`  |

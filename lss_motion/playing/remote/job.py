@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError, PlanningError
 from lss_motion.planning.program.model import Program
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.player.following import Following, FollowRule, require_can_follow
 from lss_motion.playing.remote.message import duration_of, plan_hash
 from lss_motion.playing.remote.player_end import LossRule, Steering
@@ -107,12 +108,12 @@ def play(job: Job, steering: Steering) -> Outcome:
 
     observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
     try:
-        # Its events name joints, which clients draw in degrees of joints.
-        job.robot.require_servos("the studio, a stage or `lss.start`")
+        if job.targets is not None or job.walk is not None:
+            job.robot.require_servos("a walk, or a joint that follows targets,")
         if isinstance(job.shows, Program):
             if job.follow is not None:
                 require_can_follow(job.shows)
-            steering.start(started(job.shows, job.robot))
+            steering.start(started(job.shows, job.robot), job.robot)
             result = perform(
                 job.shows,
                 job.robot,
@@ -124,7 +125,8 @@ def play(job: Job, steering: Steering) -> Outcome:
         else:
             shows = Repertoire(job.shows, job.robot)
             steering.plans = {name: plan_hash(one) for name, one in job.shows.items()}
-            steering.start_many(job.options.get("first") or STANDING, job.robot, shows.joints)
+            joints = JointView(job.robot).joints_of(shows.joints)
+            steering.start_many(job.options.get("first") or STANDING, job.robot, joints)
             many = perform(shows, job.robot, observer=observer, **job.options)
             outcome = Outcome(many.report, many.error)
     except LssMotionError as error:
@@ -143,7 +145,7 @@ def started(program: Program, robot: Robot) -> Started:
         is_simulated=is_simulated(robot),
         duration_s=duration_of(program),
         plan=plan_hash(program).hex(),
-        joints=tuple(program.start_deg),
+        joints=JointView(robot).joints_of(program.start_deg),
         marks=tuple(
             MarkInfo(label=mark.label, at_s=mark.planned_s) for mark in program.marks if mark.label
         ),

@@ -14,11 +14,13 @@ from msgspec import Struct
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.player import events
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.show_clock import LeaderPosition
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.remote import stage_messages as s
+from lss_motion.playing.remote.joint_health import joints_health
 from lss_motion.playing.remote.message import Telemetry
 from lss_motion.playing.targets import TargetLimiter
 from lss_motion.playing.walking.steered import SteeredWalk
@@ -29,6 +31,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from lss_motion.playing.joint_view import Angles
     from lss_motion.playing.player.following import Following
     from lss_motion.playing.player.joint_state import JointState
     from lss_motion.playing.player.player import Player
@@ -40,6 +43,9 @@ OnLost = Literal["stop", "hold", "go_on"]
 """What the player does when its operator is lost."""
 
 TELEMETRY_NS: Final = 25 * NS_PER_MS
+MAPPED_RATIO: Final = 4
+"""Angles of servos behind mechanisms are sent so many times less often, and need so much more room:
+to map them takes 3 ms of nine servos (measured)."""
 HEALTH_NS: Final = NS_PER_S // 4
 ROOM_NS: Final = 3 * NS_PER_MS
 """Nothing is sent to the client within this time before a move is due (as `cli.display`)."""
@@ -108,6 +114,9 @@ class Steering:
         self.plans: dict[str, bytes] = {}
         """The names of the plans of a run of many shows, by show."""
         self._plan = b""
+        self._slower = 1
+        self._view: JointView | None = None
+        """The joints of the robot that plays, from the first event on."""
         self._use: dict[str, tuple[int, int, int]] = {}
 
     # ---- controls
@@ -269,7 +278,7 @@ class Steering:
         """Send what happened; the telemetry names the plan of the show that plays."""
         if isinstance(event, events.ShowBegan) and not event.is_added:
             self._plan = self.plans.get(event.name, b"")
-        if (message := message_of(event)) is not None:
+        if (message := message_of(event, self._view)) is not None:
             self.operator.send(message)
 
     def on_turn(self, player: Player, now_ns: int) -> None:
@@ -280,11 +289,11 @@ class Steering:
         if now_ns < min(self._telemetry_ns, self._health_ns) and not operator.link.is_full:
             return
         is_overdue = now_ns > self._telemetry_ns + OVERDUE_NS
-        if player.is_due_within(ROOM_NS, now_ns) and not is_overdue:
+        if player.is_due_within(self._slower * ROOM_NS, now_ns) and not is_overdue:
             return
         operator.link.flush()
         if now_ns >= self._telemetry_ns:
-            self._telemetry_ns = now_ns + TELEMETRY_NS
+            self._telemetry_ns = now_ns + self._slower * TELEMETRY_NS
             operator.look_for_client()
             moving = player.moving
             if moving is not None and not operator.link.is_full:
@@ -294,9 +303,10 @@ class Steering:
             if not operator.link.is_full:
                 operator.offer(self._health(player, now_ns))
 
-    def start(self, message: m.Started) -> None:
-        """Send the first event, and keep the name of the plan for the telemetry."""
-        self._plan = bytes.fromhex(message.plan)
+    def start(self, message: m.Started, robot: Robot) -> None:
+        """Send the first event; keep the name of the plan for the telemetry, and the joints."""
+        self._plan, self._view = bytes.fromhex(message.plan), JointView(robot)
+        self._slower = 1 if self._view.is_plain else MAPPED_RATIO
         self.operator.send(message)
 
     def start_many(self, name: str, robot: Robot, joints: Iterable[str]) -> None:
@@ -312,7 +322,8 @@ class Steering:
                 plan=next(iter(self.plans.values()), bytes(8)).hex(),
                 joints=tuple(joints),
                 marks=(),
-            )
+            ),
+            robot,
         )
 
     def end(self, message: m.Ended) -> None:
@@ -322,10 +333,14 @@ class Steering:
     def _offer_telemetry(self, player: Player, moving: Streamer, now_ns: int) -> None:
         """Send the angles; on the way to a show, its clock stands where the last one was."""
         planned, states = moving.all_pose_deg(now_ns), moving.all_states()
-        names = player.program.start_deg
+        names = list(player.program.start_deg)
         if any(name not in states for name in names):
             return  # An approach does not lead joints that are left out.
-        angles = [(planned[name], *_seen_deg(states[name], now_ns)) for name in names]
+        angles: Sequence[Angles] = [
+            (planned[name], *_seen_deg(states[name], now_ns)) for name in names
+        ]
+        if self._view is not None:
+            angles = self._view.angles(names, angles)
         rate = 0.0
         if player.show is not None:
             rate, self._shown_s = player.show.clock.rate(now_ns), player.show.show_s(now_ns)
@@ -335,6 +350,10 @@ class Steering:
     def _health(self, player: Player, now_ns: int) -> m.Health:
         show = player.show
         states = {} if show is None else show.all_states()
+        joints = {name: _joint_health(state) for name, state in states.items()}
+        if self._view is not None and not self._view.is_plain:
+            here_deg = {name: _seen_deg(state, now_ns)[0] for name, state in states.items()}
+            joints = joints_health(self._view, joints, here_deg)
         return m.Health(
             phase=player.phase.value,
             show_s=None if show is None else show.show_s(now_ns),
@@ -342,7 +361,7 @@ class Steering:
             is_paused=player.is_paused,
             late_us=0 if show is None else max(show.statistics.latest_ns, default=0) // NS_PER_US,
             missed=0 if show is None else show.statistics.missed,
-            joints={name: _joint_health(state) for name, state in states.items()},
+            joints=joints,
             buses=self._bus_use(player, now_ns),
         )
 
@@ -383,8 +402,11 @@ def _joint_health(state: JointState) -> m.JointHealth:
     )
 
 
-def message_of(event: events.Event) -> m.Message | None:
-    """Return the message of an event of the player; None: it is not for clients."""
+def message_of(event: events.Event, view: JointView | None = None) -> m.Message | None:
+    """Return the message of an event of the player; None: it is not for clients.
+
+    With `view` joints are named in place of the servos that move them.
+    """
     match event:
         case events.PhaseEntered():
             return m.PhaseChanged(phase=event.phase.value)
@@ -393,12 +415,13 @@ def message_of(event: events.Event) -> m.Message | None:
         case events.MarkPassed():
             return m.LabelPassed(label=event.label, at_s=event.show_s) if event.label else None
         case events.CueReached() | events.ShowBegan() | events.ShowOver():
-            return _show_message(event)
+            return _show_message(event, view)
         case events.Noted():
             return None
         case events.Waited():
             return m.WaitChanged(text=event.text, state=event.state)
         case events.Faulted():
+            event = event if view is None else view.fault(event)
             return m.FaultFound(
                 joint=event.joint,
                 cause=event.cause,
@@ -409,12 +432,18 @@ def message_of(event: events.Event) -> m.Message | None:
             return m.ServosChecked(servos=len(event.servos), notes=event.notes)
 
 
-def _show_message(event: events.CueReached | events.ShowBegan | events.ShowOver) -> m.Message:
+def _show_message(
+    event: events.CueReached | events.ShowBegan | events.ShowOver, view: JointView | None
+) -> m.Message:
     if isinstance(event, events.CueReached):
         return _cue_message(event)
     if isinstance(event, events.ShowBegan):
         return m.ShowStarted(name=event.name, from_s=event.from_s, is_added=event.is_added)
     one = event.summary
+    errors_deg = [
+        joint.error_max_deg / (1.0 if view is None else view.ratio(name))
+        for name, joint in one.joints.items()
+    ]
     return m.ShowEnded(
         name=one.name,
         outcome=one.outcome,
@@ -422,7 +451,7 @@ def _show_message(event: events.CueReached | events.ShowBegan | events.ShowOver)
         reached_s=one.reached_s,
         lasted_s=s_from_ns(one.ended_ns - one.began_ns),
         missed=one.missed,
-        error_max_deg=max((joint.error_max_deg for joint in one.joints.values()), default=0.0),
+        error_max_deg=max(errors_deg, default=0.0),
     )
 
 

@@ -477,7 +477,7 @@ class ConductorSteering(StageSteering):
         prefix = self._job.prefix
         if isinstance(event, m.Started):
             joints = tuple(prefix + name for name in event.joints)
-            self.start(replace(event, name=self._job.stage.name, joints=joints))
+            self.start(replace(event, name=self._job.stage.name, joints=joints), self._job.robot)
         elif isinstance(event, m.Health):
             named = {prefix + name: one for name, one in event.joints.items()}
             self.operator.offer(replace(event, joints=named))

@@ -1,0 +1,98 @@
+"""What servos do, as that of the joints of a robot with mechanisms, while it plays.
+
+The angles are mapped as in every other place (`planning.trajectory.servo_motion`). A robot without
+mechanisms is seen as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec.structs import replace
+
+from lss_motion.planning.trajectory.servo_motion import joint_angles
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from lss_motion.playing.player.events import Faulted
+    from lss_motion.robot.mechanism import Mechanism
+    from lss_motion.robot.model import Robot
+
+Angles = tuple[float, float, float]
+
+
+class JointView:
+    """The joints of `robot`; what is given is by its servos, in degrees of ideal servos."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._by_servo = {s: m for m in robot.mechanisms.values() for s in m.servos}
+        self._by_joint = {j: m for m in robot.mechanisms.values() for j in m.joints}
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether every joint is its servo."""
+        return not self.robot.servos
+
+    def joints_of(self, servos: Iterable[str]) -> tuple[str, ...]:
+        """Return the joints that these servos move, in the order of the robot."""
+        known = tuple(servos)
+        if self.is_plain:
+            return known
+        return tuple(name for name in self.robot.joints if {*self.servos_of(name)} <= {*known})
+
+    def mechanism_of(self, joint: str) -> Mechanism | None:
+        """Return what stands between a joint and its servos; None: nothing."""
+        return self._by_joint.get(joint)
+
+    def servos_of(self, joint: str) -> tuple[str, ...]:
+        """Return the servos that move a joint."""
+        mechanism = self._by_joint.get(joint)
+        return (joint,) if mechanism is None else mechanism.servos
+
+    def mates_of(self, joint: str) -> tuple[str, ...]:
+        """Return the joints that the same servos move, this one among them."""
+        mechanism = self._by_joint.get(joint)
+        return (joint,) if mechanism is None else mechanism.joints
+
+    def angles(self, names: Sequence[str], angles: Sequence[Angles]) -> Sequence[Angles]:
+        """Return angles of servos as those of `joints_of`; an angle that is not known is NaN."""
+        if self.is_plain:
+            return angles
+        rows = np.array(angles).T
+        is_known = np.isfinite(rows)
+        found = joint_angles(names, np.where(is_known, rows, 0.0), self.robot)[1]
+        joints = self.joints_of(names)
+        for column, joint in enumerate(joints):
+            own = [names.index(servo) for servo in self.servos_of(joint)]
+            found[~is_known[:, own].all(axis=1), column] = math.nan
+        return [(a, b, c) for a, b, c in found.T.tolist()]
+
+    def joint_deg(self, servo_deg: Mapping[str, float]) -> dict[str, float]:
+        """Return the angles of the joints of which all servos are known."""
+        if self.is_plain:
+            return dict(servo_deg)
+        names = [name for name in self.robot.servos if name in servo_deg]
+        joints, deg = joint_angles(
+            names, np.array([[servo_deg[name] for name in names]]), self.robot
+        )
+        return dict(zip(joints, deg[0].tolist(), strict=True))
+
+    def label(self, servo: str) -> tuple[str, str]:
+        """Return the joint that a servo moves, and what to say besides: which servo it is."""
+        mechanism = self._by_servo.get(servo)
+        if mechanism is None or servo in self.robot.joints:
+            return servo, ""
+        return mechanism.joints[0], f"{mechanism.servo_label(servo)}: "
+
+    def ratio(self, servo: str) -> float:
+        """Return how many degrees of the servo one degree of a joint counts as an error."""
+        return self.robot.servos[servo].tolerance_ratio if servo in self.robot.servos else 1.0
+
+    def fault(self, event: Faulted) -> Faulted:
+        """Return a fault of a servo as one of its joint."""
+        joint, which = self.label(event.joint)
+        return replace(event, joint=joint, cause=which + event.cause) if which else event
