@@ -208,6 +208,15 @@ class TrackEntry(FileModel, title="track"):
     loop: Loop = Field(default=1, description="How often it is played: a count, or forever.")
 
 
+MUTE: Final = "It is left out, as if it were not there; it is checked all the same."
+
+
+class NamedTrackEntry(TrackEntry, title="named track"):
+    """A track beside the keyframes of the file."""
+
+    mute: bool = Field(default=False, description=MUTE)
+
+
 class WaitEntry(FileModel, title="wait"):
     """The condition to wait for: a sensor of the robot reads below or above a value."""
 
@@ -287,6 +296,7 @@ class LayerEntry(FileModel, title="layer"):
         description=f"{KEEP} It counts for the sum of the layer and what lies below it. Default: "
         "that of the layer's file.",
     )
+    mute: bool = Field(default=False, description=MUTE)
 
 
 GAIN_LEAST_DB: Final = 60.0
@@ -374,7 +384,7 @@ class SequenceFile(TrackEntry, title="sequence file"):
         "at both times. The keyframes before and after it are played once.",
         examples=[[2.0, 3.5]],
     )
-    tracks: Annotated[dict[Name, TrackEntry], Field(min_length=1)] = Field(
+    tracks: Annotated[dict[Name, NamedTrackEntry], Field(min_length=1)] = Field(
         default={},
         description="Other joints at the same time, by the name of the track, each with its own "
         "keyframes, timing and loop. Tracks are independent except for anchors.",

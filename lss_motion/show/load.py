@@ -223,6 +223,8 @@ class _SequenceLoader:
             return
         if not (has_frames or has_play or content.tracks):
             self._note((), "no keyframes: give 'keyframes', 'tracks' or 'play'")
+        if content.tracks and not has_frames and all(one.mute for one in content.tracks.values()):
+            self._note(("tracks",), "every track is muted, so nothing moves; leave one of them on")
         for key in TRACK_KEYS:
             if has_play and getattr(content, key):
                 self._note((key,), f"{key} does not go with 'play'; put it into a file of the list")
@@ -262,7 +264,9 @@ class _SequenceLoader:
             if not entry.keyframes:
                 self._note(place, f"track {name!r} has no keyframes")
                 continue
-            tracks.append(loader.sequence(name))
+            track = loader.sequence(name)
+            if not entry.mute:
+                tracks.append(track)
             self.problems += loader.problems
         return tuple(tracks)
 

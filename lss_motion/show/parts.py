@@ -157,14 +157,14 @@ class PartLoader:
         return tuple(steps)
 
     def layers(self) -> tuple[Layer, ...]:
-        """Return the layers; those with problems are left out."""
+        """Return the layers; those that are muted or have problems are left out."""
         found = []
         for index, entry in enumerate(self.content.layers):
             place: Location = ("layers", index)
             if place in self.left_out:
                 continue
             layer = self._layer(entry, place)
-            if layer is not None:
+            if layer is not None and not entry.mute:
                 found.append(layer)
         return tuple(found)
 

@@ -22,6 +22,7 @@ from lss_motion.errors import InputError
 from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie, proved
 from lss_motion.studio.client import Allowance, Client
 from lss_motion.studio.entrance import admit
+from lss_motion.studio.folder import listed
 from lss_motion.studio.planner import finite_json
 from lss_motion.studio.web import json_body
 
@@ -67,6 +68,7 @@ def make_app(studio: Studio, more: Sequence[BaseRoute] = ()) -> Starlette:
         Route("/files/{path:path}", _file),
         Route("/text/{path:path}", _text),
         Route("/model/{revision:int}.json", _model),
+        Route("/folder.json", _folder),
         Route("/stop", _stop, methods=["POST"]),
         Route("/estop", _stop, methods=["POST"]),
         WebSocketRoute("/ws", _socket),
@@ -221,6 +223,14 @@ async def _model(request: Request) -> Response:
     if request.path_params["revision"] != document.revision:
         return JSONResponse({"error": f"the newest revision is {document.revision}"}, 404)
     return Response(finite_json(document.model()), media_type="application/json")
+
+
+async def _folder(request: Request) -> Response:
+    """Return which shows, robots and sounds lie in the folder, to who may operate."""
+    role: Role = request.scope["role"]
+    if role < Role.OPERATE:
+        return JSONResponse({"error": "this needs the role operate; you may look"}, 403)
+    return JSONResponse(listed(_studio(request).document.folder))
 
 
 async def _socket(websocket: WebSocket) -> None:

@@ -47,10 +47,11 @@ PLACES = """
   const rows = layout.rowsInSight(layout.layoutOf(view, box.height), 0, box.height);
   const row = rows.find((one) => one.name === OF_ROW && one.kind !== 'line');
   const across = (box.width - layout.NAMES_PX - 48) / view.view_s;
-  const y = row.kind === 'lane' ? row.y_px + row.height_px / 2
+  const isFlat = row.kind !== 'joint';
+  const y = isFlat ? row.y_px + row.height_px / 2
     : draw.scaleOf({ view, order: 0, used_deg }, row).y(OF_DEG);
   return [box.left + layout.NAMES_PX + 24 + across * AT_S, box.top + y, across,
-    row.kind === 'lane' ? 0 : draw.scaleOf({ view, order: 0, used_deg }, row).y(0)
+    isFlat ? 0 : draw.scaleOf({ view, order: 0, used_deg }, row).y(0)
       - draw.scaleOf({ view, order: 0, used_deg }, row).y(1)];
 })
 """
@@ -130,8 +131,9 @@ def test_keys_are_dragged_in_time_and_angle_and_undo_restores_the_bytes(studio, 
         assert own.path.read_text("utf-8") == SHOW, "nothing is saved yet"
         own.page.key("Control+y")
         own.becomes(moved)
+        own.page.wait("!document.querySelector('.edits button:nth-child(3)').disabled")
         own.page.key("Control+s")
-        own.page.wait("[...document.querySelectorAll('.edits button')].at(-1).disabled")
+        own.page.wait("document.querySelector('.edits button:nth-child(3)').disabled")
         assert own.path.read_text("utf-8") == moved, "only what was touched differs"
 
 

@@ -1,6 +1,7 @@
 // @ts-check
 /** What buttons and keys do: one table for pointer, keyboard and the accessible grid. */
 
+import { ContentsEditor } from "./contents/editor.js";
 import { lowerBound, showTimeOf } from "./curves.js";
 import { Editor } from "./editor.js";
 import { layoutOf, walkedRows } from "./timeline/layout.js";
@@ -29,6 +30,7 @@ export class Actions {
     this.store = store;
     this.link = link;
     this.editor = new Editor(store, link);
+    this.contents = new ContentsEditor(store, link);
   }
 
   /** Do what a key or a button is called. @param {string} name */
@@ -250,11 +252,15 @@ export class Actions {
     else if (keys.length === 0) this.toRow(row - Math.sign(by_deg));
   }
 
-  /** Make a key where the menu was opened. */
-  addAtMenu() {
-    const { menu } = this.store.state.value;
+  /** Make a key or an event where the menu was opened. @param {string} action */
+  addAtMenu(action) {
+    const { menu, view } = this.store.state.value;
     this.set({ menu: null });
-    if (menu !== null && menu.row !== null && this.#mayDo("add")) this.editor.add(menu.row, menu.at_s, menu.deg);
+    if (menu === null || !this.#mayDo("add")) return;
+    if (action === "add_at_menu" && menu.row !== null) this.editor.add(menu.row, menu.at_s, menu.deg);
+    if (action === "say_at_menu") this.contents.addEvent(menu.at_s, { say: "text" });
+    const joint = menu.row?.kind === "joint" ? menu.row.name : view?.joints[0]?.name;
+    if (action === "led_at_menu" && joint !== undefined) this.contents.addEvent(menu.at_s, { led: { [joint]: "red" } });
   }
 
   /** @param {string} name */

@@ -27,6 +27,8 @@ export class Editor {
   /** @type {Waiting[]} */
   #waiting = [];
   #isSending = false;
+  /** @type {Promise<void>} */
+  #asked = Promise.resolve();
   #nudge = { ms: -Infinity, number: 0 };
 
   /** @param {Store} store @param {ServerLink} link */
@@ -194,11 +196,11 @@ export class Editor {
     return this.#clipboard.length > 0;
   }
 
-  /** `undo`, `redo` and `save` need no plan. @param {"undo" | "redo" | "save"} op */
+  /** `undo`, `redo` and `save` need no plan; each is asked when the one before is done.
+   * @param {"undo" | "redo" | "save"} op */
   ask(op) {
     this.#waiting = [];
-    const revision = this.store.state.value.document?.revision ?? 0;
-    this.link.ask(op, { revision });
+    this.#asked = this.#asked.then(() => this.link.ask(op, { revision: this.store.state.value.document?.revision ?? 0 }));
   }
 
   /**

@@ -87,11 +87,11 @@ export class ServerLink {
     });
   }
 
-  /** Send an operation whose refusal is shown to the person.
-   * @param {string} op @param {Record<string, unknown>} [fields] */
+  /** Send an operation whose refusal is shown to the person; resolves when it is answered.
+   * @param {string} op @param {Record<string, unknown>} [fields] @returns {Promise<void>} */
   ask(op, fields = {}) {
     const dispatch = this.#store.dispatch;
-    this.send(op, fields).then(() => {
+    return this.send(op, fields).then(() => {
       if (this.#store.state.value.refusal !== null) dispatch({ type: "set", fields: { refusal: null } });
     }, (error) => dispatch({ type: "refused", text: error.message }));
   }

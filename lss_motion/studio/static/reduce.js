@@ -44,6 +44,9 @@ export function firstState() {
     scanned: null,
     maintenance: null,
     pairing: null,
+    model: null,
+    folder: null,
+    side: "chosen",
     page: "show",
     theatre: false,
     theme: "dark",
@@ -68,7 +71,9 @@ export function reduce(state, action) {
   if (action.type === "event") return afterEvent(state, /** @type {any} */ (action)["event"]);
   if (action.type === "set") {
     const fields = /** @type {Partial<State>} */ (action["fields"]);
-    return { ...state, ...(fields.selection === undefined ? {} : { wanted: null }), ...fields };
+    // What is chosen on the timeline is what a person wants to see beside it.
+    const side = fields.selection == null ? {} : { side: /** @type {const} */ ("chosen") };
+    return { ...state, ...(fields.selection === undefined ? {} : { wanted: null }), ...side, ...fields };
   }
   if (action.type === "drafted") {
     return { ...state, drafts: state.drafts + 1, wanted: /** @type {State["wanted"]} */ (action["wanted"]) };

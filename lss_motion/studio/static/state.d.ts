@@ -130,6 +130,11 @@ export type State = {
   scanned: any;
   maintenance: any;
   pairing: null | { code: string; role: string; valid_s: number; urls: string[] };
+  /** What the files hold, and what lies beside them; null until it was asked for. */
+  model: import("./contents/editor.js").Model | null;
+  folder: Record<"sequences" | "gaits" | "stages" | "robots" | "sounds", string[]> | null;
+  /** What is beside the timeline: what is chosen, or what the show consists of. */
+  side: "chosen" | "contents";
   page: Page;
   theatre: boolean;
   theme: "dark" | "light";

@@ -70,6 +70,20 @@ def test_tracks_have_their_own_keyframes_timing_and_loop(load):
     assert track.keyframes[1].line == 11
 
 
+def test_what_is_muted_is_left_out_and_checked_all_the_same(load, refused):
+    base = "keyframes: [{at_s: 0, deg: {l: 0}}, {at_s: 1, deg: {l: 9}}]\n"
+    show = load(
+        base + "tracks:\n  one: {keyframes: [{at_s: 0, deg: {head: 1}}]}\n"
+        "  other: {mute: true, keyframes: [{at_s: 0, deg: {head: 5}}]}\n"
+        "layers: [{file: nod.yaml, mute: true}, {file: nod.yaml, weight: 0.5}]\n"
+    )
+    assert [track.name for track in show.tracks] == ["one"], "it does not key head twice"
+    assert [layer.weight for layer in show.layers] == [0.5]
+    assert "900" in refused(base + "tracks: {a: {mute: true, keyframes: [{deg: {head: 900}}]}}\n")
+    assert "nod2.yaml" in refused(base + "layers: [{file: nod2.yaml, mute: true}]\n")
+    assert "nothing moves" in refused("tracks: {a: {mute: true, keyframes: [{deg: {l: 1}}]}}\n")
+
+
 def test_a_show_that_loops_forever_may_have_layers(load):
     show = load(
         "loop: forever\nkeyframes:\n  - {at_s: 0, deg: {l: 0}}\n  - {at_s: 1, deg: {l: 9}}\n"

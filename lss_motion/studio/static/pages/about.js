@@ -137,7 +137,7 @@ function Limits({ state, view, joints }) {
  * A number that is taken when it is finished; Escape gives back what it was.
  * @param {{ name: string, unit: string, value: number, digits: number, least?: number, most?: number, isBare?: boolean, set: (value: number) => void }} props
  */
-function NumberField({ name, unit, value, digits, least, most, isBare, set }) {
+export function NumberField({ name, unit, value, digits, least, most, isBare, set }) {
   const shown = String(Number(value.toFixed(digits)));
   return html`<label class=${isBare ? "field-bare" : "field"}><span class=${isBare ? "hidden" : ""}>${name}</span>
     <input type="number" step="any" data-field=${name} data-was=${shown} ...${{ min: least, max: most }} value=${shown} key=${shown}
@@ -149,9 +149,9 @@ function NumberField({ name, unit, value, digits, least, most, isBare, set }) {
       }} /> ${unit}</label>`;
 }
 
-/** @param {{ name: string, value: string, set: (value: string) => void }} props */
-function TextField({ name, value, set }) {
-  return html`<label class="field"><span>${name}</span>
+/** @param {{ name: string, value: string, isBare?: boolean, set: (value: string) => void }} props */
+export function TextField({ name, value, set, isBare }) {
+  return html`<label class="field"><span class=${isBare ? "hidden" : ""}>${name}</span>
     <input type="text" maxlength="60" data-field=${name} data-was=${value} value=${value} key=${value} autocomplete="off" spellcheck=${false} onKeyDown=${leave}
       onChange=${(/** @type {Event} */ event) => set(/** @type {HTMLInputElement} */ (event.currentTarget).value.trim())} /></label>`;
 }

@@ -2,8 +2,10 @@
 /** The Timeline page: keys to shape the show by, its plan, what was read while it plays, the figure. */
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
+import { Contents } from "../contents/panel.js";
 import { FigurePanel } from "../figure/panel.js";
 import { Mirror } from "../mirror.js";
+import { Choice } from "../parts/choice.js";
 import { Menu } from "../parts/menu.js";
 import { TimelineBoard } from "../timeline/board.js";
 import { timeText } from "../timeline/window.js";
@@ -12,6 +14,7 @@ import { About } from "./about.js";
 /** @typedef {import("../state.js").State} State */
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
 
+const SIDES = /** @type {const} */ ([["chosen", "Chosen"], ["contents", "Contents"]]);
 const ORDERS = ["Angle", "Speed", "Acceleration"];
 
 /** @param {Props} props */
@@ -35,7 +38,9 @@ export function TimelinePage({ state, actions, store }) {
     </section>
     <aside class="side">
       <section class="card" aria-label="Figure"><${FigurePanel} store=${store} isSought /></section>
-      <section class="card about" aria-label="What is chosen" aria-live="polite"><${About} state=${state} actions=${actions} /></section>
+      <section class="card about" aria-label="What is chosen" aria-live=${state.side === "chosen" ? "polite" : "off"}>
+        <${Choice} label="beside the timeline" options=${SIDES} chosen=${state.side} choose=${(/** @type {State["side"]} */ side) => actions.set({ side })} />
+        ${state.side === "chosen" ? html`<${About} state=${state} actions=${actions} />` : html`<${Contents} state=${state} actions=${actions} />`}</section>
     </aside>
     <${Menu} state=${state} actions=${actions} />
   </main>`;

@@ -25,6 +25,8 @@ function entriesOf(actions, menu) {
     { action: "hold", text: "Hold …", keys: "H", ...isKey },
     { action: "anchor", text: "Anchor, or not", keys: "N", ...isKey },
     { action: "label", text: "Label …", keys: "L", ...isKey },
+    { action: "say_at_menu", text: "Text event here", keys: "" },
+    { action: "led_at_menu", text: "LED event here", keys: "" },
     { action: "open_text", text: "Open its line of the file", keys: "", ...isKey },
   ];
 }
@@ -55,7 +57,7 @@ export function Menu({ state, actions }) {
   }} onContextMenu=${(/** @type {Event} */ event) => event.preventDefault()}>
     <div class="menu" role="menu" aria-label="What can be done here" ref=${place} onKeyDown=${walk}>
       ${entriesOf(actions, menu).map((own) => html`<button type="button" role="menuitem" key=${own.action} disabled=${own.isOff}
-        onClick=${() => (own.action === "add_at_menu" ? actions.addAtMenu() : run(own.action))}>${own.text}<span class="key-hint">${own.keys}</span></button>`)}
+        onClick=${() => (own.action.endsWith("_at_menu") ? actions.addAtMenu(own.action) : run(own.action))}>${own.text}<span class="key-hint">${own.keys}</span></button>`)}
     </div></div>`;
 }
 

@@ -8,13 +8,13 @@ import { angleAt, usedOf, withinView } from "../curves.js";
 import { onFrame, requestFrame } from "../frames.js";
 import { draftName, draftOf, draftText, isNothing } from "./draft.js";
 import { drawLive, drawNames, drawTimeline, scaleOf } from "./draw.js";
-import { drawBox, drawDraft } from "./draw_draft.js";
+import { drawBox, drawDraft, drawInstant } from "./draw_draft.js";
 import { afterInput, HELD_MS, REST } from "./gestures.js";
 import { hitAt, REACH_PX, TOUCH_REACH_PX } from "./hit.js";
 import { heightOf, isSame, joined, keysInBox } from "./keys.js";
 import { layoutOf, NAMES_PX, rowsInSight, scrolledTo, scrollMax, walkedRows } from "./layout.js";
 import { paletteOf } from "./palette.js";
-import { evened, STEPS_DEG, STEPS_S } from "./snap.js";
+import { evened, snapped, STEPS_DEG, STEPS_S, targetsOf } from "./snap.js";
 import { fitted, following, kept, panned, pixelOf, timeAt, zoomed } from "./window.js";
 
 /** @typedef {import("../store.js").Store} Store */
@@ -246,6 +246,10 @@ export class TimelineBoard {
     });
     const gesture = this.#gesture;
     if (gesture.kind === "box" && gesture.isMoved) drawBox(live, scene, boxOf(gesture.from, gesture.at));
+    if (gesture.kind === "event" && gesture.isMoved) {
+      const { at_s, what } = this.#eventAt(gesture);
+      drawInstant(live, scene, at_s, [view.events[gesture.hit.event]?.text ?? "", what], gesture.at);
+    }
     const draft = gesture.kind === "keys" ? this.#draft(gesture) : null;
     if (gesture.kind !== "keys" || draft === null) return;
     void this.#try(draft);
@@ -321,7 +325,7 @@ export class TimelineBoard {
     const before = this.#gesture.kind;
     const [next, acts] = afterInput(this.#gesture, input);
     this.#gesture = next;
-    const isHeld = next.kind === "press" || next.kind === "pan" && !next.isMoved;
+    const isHeld = next.kind === "press" || next.kind === "event" && !next.isMoved || next.kind === "pan" && !next.isMoved;
     if (!isHeld) window.clearTimeout(this.#held);
     if (next.kind === "keys" && before !== "keys") {
       this.#trial = { name: "", tried: null };
@@ -413,6 +417,8 @@ export class TimelineBoard {
       const joint = this.#view?.joints.findIndex((own) => own.name === hit.joint) ?? -1;
       const keys = isAdded ? joined(this.#editor.keys, [refOf(hit)], false) : [refOf(hit)];
       fields = { selection: { kind: "keys", keys }, row: joint >= 0 ? rowOf("joint", joint) : rowOf("lane", hit.lane) };
+    } else if (hit.kind === "event") {
+      fields = { ...fields, side: "contents" };
     } else if (hit.kind === "span") {
       fields = { selection: { kind: "span", list: hit.list, index: hit.index } };
     } else if (hit.kind === "row" && (hit.row.kind === "joint" || hit.row.kind === "lane")) {
@@ -432,6 +438,8 @@ export class TimelineBoard {
 
   /** @param {import("./gestures.js").Gesture} gesture */
   #commit(gesture) {
+    const event = gesture.kind === "event" ? this.#view?.events[gesture.hit.event] : undefined;
+    if (gesture.kind === "event" && event !== undefined) void this.#actions.contents.moveEvent(event, this.#eventAt(gesture).at_s);
     if (gesture.kind !== "keys") return;
     const draft = this.#draft(gesture);
     if (draft !== null && !isNothing(draft)) this.#editor.takeDraft(draft);
@@ -446,6 +454,16 @@ export class TimelineBoard {
     const { order, cursor_s } = this.#store.state.value;
     const deg_per_px = row === undefined || order !== 0 ? 0 : 1 / Math.abs(this.#scale(row).y(1) - this.#scale(row).y(0));
     return draftOf(gesture, { view, seen: this.#seen, keys: this.#editor.keys, cursor_s, deg_per_px });
+  }
+
+  /** Where a dragged event would be, and at what. @param {Extract<import("./gestures.js").Gesture, { kind: "event" }>} gesture */
+  #eventAt({ at, from, hit, isFine, snaps }) {
+    const by_s = (at.x_px - from.x_px) / this.#seen.px_per_s / (isFine ? 10 : 1);
+    const wanted_s = Math.min(Math.max(hit.at_s + by_s, 0), this.#length_s);
+    const step_s = isFine ? STEPS_S.fine : STEPS_S.coarse;
+    if (!snaps || this.#view === null) return { at_s: evened(wanted_s, step_s), what: "" };
+    const targets = targetsOf(this.#view, this.#store.state.value.cursor_s, () => false).filter(({ at_s }) => at_s !== hit.at_s);
+    return snapped(wanted_s, targets, REACH_PX / this.#seen.px_per_s, step_s);
   }
 
   /** @param {MouseEvent} event */

@@ -43,6 +43,19 @@ export function drawDraft(ctx, scene, draft, { held, at, words, tried }) {
   drawWords(ctx, scene, words, at, hasTrouble);
 }
 
+/** An instant that is dragged over all rows, with words. @param {Ctx} ctx @param {Scene} scene @param {number} at_s
+ * @param {string[]} words @param {{ x_px: number, y_px: number }} at */
+export function drawInstant(ctx, scene, at_s, words, at) {
+  const x_px = Math.round(pixelOf(scene.seen, at_s)) + 0.5;
+  ctx.strokeStyle = scene.palette.selected;
+  ctx.lineWidth = 1;
+  ctx.beginPath();
+  ctx.moveTo(x_px, 0);
+  ctx.lineTo(x_px, scene.height_px);
+  ctx.stroke();
+  drawWords(ctx, scene, [`${at_s.toFixed(3)} s`, ...words.filter((own) => own !== "")], at, false);
+}
+
 /** @param {Ctx} ctx @param {Scene} scene @param {import("./layout.js").Row} row @param {Draft} draft
  * @param {import("./gestures.js").KeyHit} held @param {string} colour */
 function drawJoint(ctx, scene, row, draft, held, colour) {

@@ -8,6 +8,7 @@
 
 /** @typedef {import("./hit.js").Hit} Hit */
 /** @typedef {{ id: number, x_px: number, y_px: number }} Finger */
+/** @typedef {{ kind: "event", event: number, at_s: number }} EventHit */
 /** @typedef {{ kind: "key", lane: number, key: number, joint: string | null, at_s: number }} KeyHit */
 /**
  * @typedef {{ kind: "rest" }
@@ -17,6 +18,7 @@
  *   | { kind: "press", at: Finger, from: Finger, hit: KeyHit, isAdded: boolean }
  *   | Dragged
  *   | { kind: "armed" }
+ *   | { kind: "event", at: Finger, from: Finger, hit: EventHit, isMoved: boolean, isFine: boolean, snaps: boolean }
  *   | { kind: "box", at: Finger, from: Finger, isMoved: boolean, isAdded: boolean, hit: Hit | null }} Gesture
  */
 /** @typedef {"free" | "time" | "angle"} Axis */
@@ -87,7 +89,7 @@ export function afterInput(gesture, input) {
     case "arm":
       return [gesture.kind === "rest" ? { kind: "armed" } : gesture, []];
     default:
-      return [REST, gesture.kind === "keys" || gesture.kind === "box" || gesture.kind === "armed" ? [{ act: "undraft" }] : []];
+      return [REST, ["keys", "event", "box", "armed"].includes(gesture.kind) ? [{ act: "undraft" }] : []];
   }
 }
 
@@ -111,6 +113,7 @@ function afterDown(gesture, { finger, hit, isTouch, isMiddle, isAdded, isChosen 
   }
   if (isMiddle) return [{ kind: "pan", at: finger, from: finger, isMoved: false, hit: null }, []];
   if (hit?.kind === "ruler") return [{ kind: "cursor", at: finger }, [{ act: "cursor", x_px: finger.x_px }]];
+  if (hit?.kind === "event") return [{ kind: "event", at: finger, from: finger, hit, isMoved: false, isFine: false, snaps: false }, []];
   if (hit?.kind === "key") {
     return [{ kind: "press", at: finger, from: finger, hit, isAdded },
       isChosen || isAdded ? [] : [{ act: "choose", hit, isAdded: false }]];
@@ -144,6 +147,9 @@ function afterMove(gesture, { finger, isFine, snaps }) {
       return [{ kind: "keys", at: finger, from, hit, axis: "free", isFine, snaps, mode: "move", isLoose: false, steps: NO_STEPS },
         [...(isAdded ? [/** @type {Act} */ ({ act: "choose", hit, isAdded: true })] : []), { act: "draft" }]];
     }
+    case "event":
+      if (!gesture.isMoved && away(gesture.from, finger) < DRAG_PX) return [gesture, []];
+      return [{ ...gesture, at: finger, isMoved: true, isFine, snaps }, [{ act: "draft" }]];
     case "keys":
       return [{ ...gesture, at: finger, isFine, snaps }, [{ act: "draft" }]];
     default:
@@ -174,6 +180,9 @@ function afterUp(gesture, finger) {
   switch (gesture.kind) {
     case "press":
       return [REST, [gesture.isAdded ? { act: "toggle", hit: gesture.hit } : { act: "choose", hit: gesture.hit, isAdded: false }]];
+    case "event":
+      if (!gesture.isMoved) return [REST, [{ act: "choose", hit: gesture.hit, isAdded: false }]];
+      return [REST, [{ act: "commit", gesture }, { act: "undraft" }]];
     case "keys":
       return taken(gesture);
     case "box": {
@@ -190,6 +199,7 @@ function afterUp(gesture, finger) {
 
 /** @param {Gesture} gesture @returns {[Gesture, Act[]]} */
 function afterHeld(gesture) {
+  if (gesture.kind === "event" && !gesture.isMoved) return [REST, [{ act: "menu", at: gesture.at, hit: gesture.hit }]];
   if (gesture.kind === "press") return [REST, [{ act: "menu", at: gesture.at, hit: gesture.hit }]];
   if (gesture.kind === "pan" && !gesture.isMoved) return [REST, [{ act: "menu", at: gesture.at, hit: gesture.hit }]];
   return [gesture, []];

@@ -21,6 +21,7 @@ export const TOUCH_REACH_PX = 22;
  * @typedef {{ kind: "ruler", at_s: number }
  *   | { kind: "key", lane: number, key: number, joint: string | null, at_s: number }
  *   | { kind: "span", list: "stretched" | "given_up", index: number, at_s: number }
+ *   | { kind: "event", event: number, at_s: number }
  *   | { kind: "mark", label: string, at_s: number }
  *   | { kind: "row", row: Row, at_s: number }
  *   | { kind: "nothing", at_s: number }} Hit
@@ -39,6 +40,11 @@ export function hitAt(view, rows, seen, point) {
     const index = nearest(view.marks.map((mark) => mark.at_s), seen, point);
     const mark = view.marks[index];
     if (mark !== undefined) return { kind: "mark", label: mark.label, at_s: mark.at_s };
+  }
+  if (row.kind === "events") {
+    const event = nearest(view.events.map((own) => own.at_s), seen, point);
+    const own = view.events[event];
+    if (own !== undefined) return { kind: "event", event, at_s: own.at_s };
   }
   if (row.kind === "lane") {
     const lane = /** @type {import("../state.js").Lane} */ (view.lanes[row.index]);
