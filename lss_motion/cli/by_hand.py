@@ -92,8 +92,8 @@ def _record(arguments: argparse.Namespace) -> int:
     robot = ask_limits(robot_at(arguments.robot, arguments.port))
     joints = chosen_joints(robot, arguments.joints)
     _check(arguments, simulated=is_simulated(robot))
-    take = Take(tuple(joints))
     hands_on = HandsOn(robot, joints, is_soft=arguments.feel == "soft")
+    take = Take(tuple(joint.name for joint in hands_on.joints))
     lost: BusError | None = None
     with RecordControls(take, seconds=arguments.seconds) as controls:
         try:
@@ -101,7 +101,7 @@ def _record(arguments: argparse.Namespace) -> int:
                 hands_on,
                 controls,
                 is_virtual=arguments.virtual,
-                hand=None if arguments.hand is None else hand_of(arguments.hand, robot),
+                hand=None if arguments.hand is None else hand_of(arguments.hand, robot.servo_robot),
             )
         except BusError as error:
             lost = error
@@ -160,8 +160,13 @@ class RecordControls(HandsControls):
         self._counted_ns = 0
 
     def begin(self, hands_on: HandsOn) -> None:
+        if blind := blind_joints(hands_on):
+            self.print(
+                f"{', '.join(blind)}: RC servos do not say where they are; they hold, and are "
+                f"recorded where they were sent"
+            )
         if self._seconds is not None:
-            hands_on.let_go(j.name for j in hands_on.joints)
+            hands_on.let_go(self._led_by_hand(hands_on))
             self._take_shown.start(self.now_ns)
             self._end_ns = self.now_ns + ns_from_s(self._seconds)
         elif not self.has_keys:
@@ -190,7 +195,7 @@ class RecordControls(HandsControls):
                     hands_on.hold(names)
                     self.print("holding")
                 else:
-                    hands_on.let_go(names)
+                    hands_on.let_go(self._led_by_hand(hands_on))
                     self.print("let go: the joints are limp")
             case "r" if take.running is None:
                 take.start(self.now_ns)
@@ -208,12 +213,25 @@ class RecordControls(HandsControls):
             case _:
                 pass
 
+    def _led_by_hand(self, hands_on: HandsOn) -> list[str]:
+        """Return the joints that a hand can lead: an RC servo would be lost while it is limp."""
+        blind = blind_joints(hands_on)
+        return [joint.name for joint in hands_on.joints if joint.name not in blind]
+
     def lines(self, hands_on: HandsOn, now_ns: int) -> list[str]:
         take = self._take_shown
         state = "RECORDING" if take.running is not None else f"{counted(take.parts, 'part')}"
         per_joint_hz = self._rate_hz / len(hands_on.joints)
         head = f"{state}  {take.recorded_s:.1f} s  {per_joint_hz:.0f} readings/s a joint   {KEYS}"
         return [head, *joint_lines(hands_on, now_ns)]
+
+
+def blind_joints(hands_on: HandsOn) -> list[str]:
+    """Return the joints whose servos do not say where they are."""
+    from lss_motion.playing.hands_poller import has_reading
+
+    blind = {servo.name for servo in hands_on.servos if not has_reading(servo)}
+    return [j.name for j in hands_on.joints if blind & {*hands_on.view.servos_of(j.name)}]
 
 
 JOG_TEXT: Final = """\
@@ -241,7 +259,7 @@ def _jog(arguments: argparse.Namespace) -> int:
     from lss_motion.playing.hands_on import HandsOn
 
     robot, joints = load(arguments)
-    robot.require_turns(robot.joints[name] for name in joints)
+    robot.require_turns(HandsOn(robot, joints).servos)
     if arguments.pose is not None and not _is_name(arguments.pose):
         raise InputError(f"--pose {arguments.pose!r}: a name has letters, digits, - and _ only")
     return run_command(arguments, HandsOn(robot, joints), JogControls(robot, arguments.pose))
@@ -438,9 +456,29 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         raise InputError(f"unknown pose {arguments.at!r}; {known}", path=robot.path)
     pose = robot.poses.get(arguments.at, {})
     hands_on = HandsOn(robot, joints, needs_frame=False)
+    _require_own_readings(hands_on)
     return run_command(
         arguments, hands_on, CalibrateControls(robot, pose, is_to_servos=arguments.to_servos)
     )
+
+
+def _require_own_readings(hands_on: HandsOn) -> None:
+    """Raise `InputError` for joints whose zero cannot be found by hand."""
+    robot, others = hands_on.robot, "leave them out with --joints"
+    if blind := blind_joints(hands_on):
+        raise InputError(
+            f"{', '.join(blind)}: RC servos of an LSS-2IO cannot say where they are; {others}, and "
+            f"find their zero_deg with `lss-motion jog`",
+            path=robot.path,
+        )
+    view = hands_on.view
+    if geared := [j.name for j in hands_on.joints if view.mechanism_of(j.name) is not None]:
+        raise InputError(
+            f"{', '.join(geared)}: a ratio, a linkage or a mechanism stands between these joints "
+            f"and their servos, whose zeros are no angles of joints; {others}, and measure them as "
+            f"the guide head-neck.md says",
+            path=robot.path,
+        )
 
 
 class CalibrateControls(HandsControls):

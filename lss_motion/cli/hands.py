@@ -52,7 +52,7 @@ def run_command(arguments: argparse.Namespace, hands_on: HandsOn, controls: Hand
     """Run until the person ends it; return the exit code, or raise the error that ended it."""
     from lss_motion.sim.hand import hand_of
 
-    hand = None if arguments.hand is None else hand_of(arguments.hand, hands_on.robot)
+    hand = None if arguments.hand is None else hand_of(arguments.hand, hands_on.robot.servo_robot)
     with controls:
         if not controls.has_keys:
             raise InputError("needs a terminal, because keys control it")

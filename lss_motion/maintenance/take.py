@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.interchange.reduce import KeyFit
-    from lss_motion.playing.hands_on import JointReading
+    from lss_motion.playing.hands_mapping import JointReading
     from lss_motion.robot.model import Robot
 
     FloatArray = NDArray[np.float64]

@@ -13,6 +13,8 @@
 | `connection.py`     | the open ports of a robot                      | `run`, `live`, `cli`     |
 | `discovery.py`      | servos on a bus, their condition, their limits | `connection`, `cli`      |
 | `hands_on.py`       | joints moved by hand: limp, held, read         | `live`, `cli`            |
+| `hands_poller.py`   | what asks those servos and sends to them       | `hands_on`               |
+| `hands_mapping.py`  | their readings and targets as those of joints  | `hands_on`               |
 | `joint_view.py`     | angles and faults of servos as those of joints | `remote`, `live`         |
 | `runner.py`         | the loop; threads, processes and waits         | `run`, `connection`      |
 | `performer.py`      | functions and sounds of a show: the pipes      | `run`                    |

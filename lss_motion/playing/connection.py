@@ -100,11 +100,9 @@ def connect(
     On `sim://` buses `robot` gives the servos, `seed` and `faults` the disturbances, `hand` the
     hand that moves limp joints, and `deviation` how the servos differ from what is assumed. Unless
     `is_recorded`, they keep neither lines nor horn angles, so a run of days needs no memory. Raises
-    `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot, and for
-    a robot whose joints are not its servos (`Robot.servo_robot`).
+    `BusError` for a port that cannot be opened and `InputError` for `sim://` without a robot.
     """
-    if robot is not None:
-        robot.require_servos()
+    robot = None if robot is None else robot.servo_robot
     for bus in buses.values():
         if not bus.is_simulated:
             opened_name(bus.port)  # All are judged before one is opened.

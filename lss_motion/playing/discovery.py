@@ -501,7 +501,7 @@ def with_limits(robot: Robot, limits: Mapping[str, Mapping[str, float]]) -> Robo
 
     No limit exceeds that of the servo model.
     """
-    joints = dict(robot.joints)
+    joints, servos = dict(robot.joints), dict(robot.servos)
     for joint in robot.unread:
         read = {
             key: min(value, getattr(joint, key))
@@ -516,8 +516,10 @@ def with_limits(robot: Robot, limits: Mapping[str, Mapping[str, float]]) -> Robo
                     path=robot.path,
                 )
         joints[joint.name] = replace(joint, unread=joint.unread - read.keys(), **read)
+        if joint.name in servos:
+            servos[joint.name] = joints[joint.name]
     asked = {**robot.read_limits, **{name: dict(values) for name, values in limits.items()}}
-    return replace(robot, joints=joints, read_limits=asked)
+    return replace(robot, joints=joints, servos=servos, read_limits=asked)
 
 
 def physical_limits(

@@ -11,343 +11,38 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
 from msgspec.structs import replace
 
-from lss_motion.errors import InputError, LssMotionError
+from lss_motion.errors import LssMotionError
+from lss_motion.playing.hands_mapping import JointReading, JointReadings, servo_targets
+from lss_motion.playing.hands_poller import IDLE_NS, Poller, has_reading
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.player import checks, handshake
 from lss_motion.playing.player.events import Event, Faulted, Phase, PhaseEntered, Warned
 from lss_motion.playing.player.handshake import Dialogue, Item, SettingsDialogue
-from lss_motion.playing.player.health import STATUS_TEXTS, turn_text
 from lss_motion.playing.player.preflight import Preflight
-from lss_motion.playing.player.query_choice import health_words
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
-from lss_motion.playing.player.servo_model import Probe, ServoSettings
-from lss_motion.protocol.codec import make_command, read_reply
-from lss_motion.protocol.constants import Family, Status, status_from
+from lss_motion.playing.player.servo_model import Probe
+from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.framing import Command, encode
-from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.units import MS_PER_S, NS_PER_MS, NS_PER_S
+from lss_motion.robot.servo_models import RC_RANGE_DEG
+from lss_motion.units import MS_PER_S, NS_PER_MS, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.playing.hands_poller import ServoHealth
     from lss_motion.playing.player.handshake import Answers
-    from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 
-
-STATUS_NS: Final = NS_PER_S // 2
-"""How often one joint, the next each time, is queried for its status to detect safe mode."""
-SILENT_NS: Final = NS_PER_S
-"""A joint without an answer for so long is reported. Chosen: a person waits no longer."""
-HEALTH_NS: Final = NS_PER_S // 10
-"""The same with `has_health`: a round of status and values of 18 joints takes eleven seconds."""
-IDLE_NS: Final = 20 * NS_PER_MS
-
-
-class JointReading(Struct, frozen=True):
-    """The angle of a joint, in joint degrees, at the instant when its servo received the query."""
-
-    joint: str
-    at_ns: int
-    deg: float
-
-
-@dataclass(slots=True)
-class ServoHealth:
-    """What a servo reported last; None: it was not asked yet, or has no such value."""
-
-    status: Status | None = None
-    temperature_c: float | None = None
-    voltage_v: float | None = None
-    current_a: float | None = None
-
-
-@dataclass(slots=True)
-class _PolledJoint:
-    """What the poller knows of one joint besides its angle and its health."""
-
-    servo: ServoSettings
-    words: tuple[str, ...] = ()
-    """The queries that come before each move: whether its servo has restarted."""
-    left: list[str] = field(default_factory=list)
-    """Those of them that are to be answered before `move` leaves."""
-    move: Command | None = None
-    """The move that waits for them, or for its place on the line."""
-    is_turned: bool = False
-    """Whether the last reading was in another turn than the one before."""
-    is_barred: bool = False
-    """Whether it is in another turn, so that it gets no move."""
-
-    @property
-    def joint(self) -> Joint:
-        return self.servo.joint
-
-    def hold_back(self) -> None:
-        """Send no move before all queries are answered once more."""
-        self.left = list(self.words)
-
-
-class Poller:
-    """Sends commands before queries, and as many queries at once as can be told apart.
-
-    The latest angles are in `readings`; `take()` returns those since the last call. With
-    `has_health`, temperature, voltage and current are asked for, too.
-
-    A move leaves when its servo has just answered that it still has its settings (`watch`): a
-    servo that restarts is limp, moves with its stored limits, and may be in another turn.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        joints: Iterable[Joint],
-        trackers: Mapping[str, QueryTracker],
-        *,
-        has_health: bool = False,
-    ) -> None:
-        self.readings: dict[str, JointReading] = {}
-        self.faults: deque[Faulted] = deque()
-        self._robot = robot
-        self._lines = lines = {bus: tracker.line for bus, tracker in trackers.items()}
-        self._trackers = trackers
-        self._fresh: list[JointReading] = []
-        self._hands = {(j.bus, j.servo_id): _PolledJoint(ServoSettings(j)) for j in joints}
-        self.restarted: dict[str, str] = {}
-        """By joint, the fault of a servo that has lost its settings since they were set."""
-        self.doubled: list[Joint] = []
-        """Joints whose answers come twice, as when two servos have the id."""
-        owners = [hand.joint for hand in self._hands.values()]
-        self.health = {joint.name: ServoHealth() for joint in owners}
-        self._turns = {bus: deque((j, "QD") for j in owners if j.bus == bus) for bus in lines}
-        self._status_turns = {
-            bus: _status_turn([joint for joint, _ in turn], has_health=has_health)
-            for bus, turn in self._turns.items()
-        }
-        self._status_every_ns = HEALTH_NS if has_health else STATUS_NS
-        self._status_ns = dict.fromkeys(lines, 0)
-        self._next_ns = dict.fromkeys(lines, 0)
-        """When the next query may be sent, if that is known."""
-        self._orders: dict[str, deque[Command]] = {bus: deque() for bus in lines}
-        self._reported: set[str] = set()
-        self.firmware: dict[str, int | None] = {}
-        """What the servos of the joints answered to QF; the codes of a status depend on it."""
-
-    def watch(self, probes: Mapping[str, Sequence[Probe]]) -> None:
-        """Query one of these, by joint, before each move; its servo must answer as it was set."""
-        for hand in self._hands.values():
-            hand.servo.begin(probes.get(hand.joint.name, ()))
-            turn = () if hand.joint.turns is None else ("QD",)
-            hand.words = (*hand.servo.keywords[:1], *turn)
-
-    def order(self, joint: Joint, command: Command) -> None:
-        """Send a command before the next query; a move takes the place of one that waits.
-
-        `L` and `H` end a move that waits. A joint in another turn gets no move.
-        """
-        hand = self._hands[joint.bus, joint.servo_id]
-        if command.keyword != "D":
-            hand.move = None if command.keyword in ("L", "H") else hand.move
-            self._orders[joint.bus].append(command)
-        elif not hand.is_barred:
-            hand.move = command
-            hand.hold_back()
-
-    @property
-    def has_orders(self) -> bool:
-        return any(self._orders.values()) or any(hand.move for hand in self._hands.values())
-
-    def take(self) -> list[JointReading]:
-        fresh, self._fresh = self._fresh, []
-        return fresh
-
-    def advance(self, now_ns: int) -> None:
-        """Send what can be sent now."""
-        for bus, line in self._lines.items():
-            self._trackers[bus].expire(now_ns)
-            while line.free_ns <= now_ns and (command := self._next_order(bus)) is not None:
-                self._note_order(bus, command, line.send(encode(command), now_ns))
-            while self._ask(bus, now_ns):
-                pass
-
-    def _next_order(self, bus: str) -> Command | None:
-        """Return the command that may leave now, and let it wait no more."""
-        if self._orders[bus]:
-            return self._orders[bus].popleft()
-        for (own_bus, _), hand in self._hands.items():
-            is_clear = hand.joint.servo_id not in self._trackers[bus].twins.unclear
-            if own_bus == bus and hand.move is not None and not hand.left and is_clear:
-                move, hand.move = hand.move, None
-                return move
-        return None
-
-    def _note_order(self, bus: str, command: Command, arrival_ns: int) -> None:
-        hand = self._hands[bus, command.servo_id]
-        if command.keyword in ("D", "H"):
-            hand.servo.powered_ns = arrival_ns
-            self._reported.discard(f"{hand.joint.name} {STATUS_TEXTS[Cause.RESTARTED]}")
-        elif command.keyword == "L":
-            hand.servo.powered_ns = None
-
-    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        for asked, answer in self._trackers[bus].receive(reply, now_ns):
-            hand = self._hands[bus, asked.command.servo_id]
-            keyword = asked.command.keyword
-            if keyword == "Q":
-                self._notice_status(hand, answer, asked.arrival_ns)
-            elif keyword in hand.servo.keywords:
-                self._take_probe(hand, answer)
-            else:
-                statement = read_reply(hand.joint.model.language, answer)
-                if statement is not None and isinstance(statement.value, int | float):
-                    self._take(hand, keyword, asked.arrival_ns, float(statement.value))
-
-        doubled = self._trackers[bus].twins.doubled
-        for servo_id in doubled:
-            if (double := self._hands.get((bus, servo_id))) is not None:
-                double.move = None
-                self.doubled.append(double.joint)
-        doubled.clear()
-
-    def _take_probe(self, hand: _PolledJoint, answer: Reply) -> None:
-        """Let a move pass, or note that the servo has restarted."""
-        if (fault := hand.servo.take(answer.keyword, answer.value)) is not None:
-            self.restarted[hand.joint.name] = fault
-            hand.move, hand.servo.powered_ns = None, None
-        elif hand.servo.has_settings and hand.left[:1] == [answer.keyword]:
-            del hand.left[0]
-
-    def _take(self, hand: _PolledJoint, keyword: str, at_ns: int, value: float) -> None:
-        health = self.health[hand.joint.name]
-        match keyword:
-            case "QT":
-                health.temperature_c = value
-            case "QV":
-                health.voltage_v = value
-            case "QC":
-                health.current_a = value
-            case _ if self._is_turned(hand, value):
-                hand.hold_back()
-            case _:
-                self.note(hand.joint, at_ns, value)
-                if hand.left[:1] == ["QD"]:
-                    del hand.left[0]
-
-    def _is_turned(self, hand: _PolledJoint, servo_deg: float) -> bool:
-        """Return whether a reading is in another turn than the one before.
-
-        The second in a row is a fault, and counts: then the joint gets no move any more.
-        """
-        joint = hand.joint
-        before_deg = joint.servo_deg(self.readings[joint.name].deg)
-        was_turned, hand.is_turned = hand.is_turned, abs(servo_deg - before_deg) > HALF_TURN_DEG
-        if was_turned and hand.is_turned:
-            hand.move, hand.is_barred, hand.is_turned = None, True, False
-            self._report(joint, turn_text(joint, servo_deg, before_deg), Cause.LOST_TURN)
-        return hand.is_turned
-
-    def settle(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
-        """Note that a servo that had restarted has its settings again, and stands there."""
-        hand = self._hands[joint.bus, joint.servo_id]
-        hand.servo.trust()
-        for _ in range(2):
-            if not self._is_turned(hand, servo_deg):
-                break
-        self.note(joint, at_ns, servo_deg)
-
-    def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
-        """Record the angle of a servo."""
-        reading = JointReading(joint.name, at_ns, joint.joint_deg(servo_deg))
-        self.readings[joint.name] = reading
-        self._fresh.append(reading)
-        self._reported.discard(f"{joint.name} does not answer")
-
-    def next_wakeup_ns(self, now_ns: int) -> int:
-        wakeups_ns = [now_ns + IDLE_NS]
-        for bus, tracker in self._trackers.items():
-            wakeups_ns.append(self._next_ns[bus])
-            if (give_up_ns := tracker.give_up_ns) is not None:
-                wakeups_ns.append(give_up_ns)
-        return min(wakeup_ns for wakeup_ns in wakeups_ns if wakeup_ns > now_ns)
-
-    def _ask(self, bus: str, now_ns: int) -> bool:
-        """Query the next servo, if that is possible now; return whether it was."""
-        tracker, line = self._trackers[bus], self._lines[bus]
-        is_status_due = now_ns >= self._status_ns[bus]
-        turn = self._status_turns[bus] if is_status_due else self._turns[bus]
-        if guards := self._guards(bus, now_ns):
-            is_status_due, turn = False, guards
-        for _ in range(len(turn)):
-            joint, keyword = turn[0]
-            if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
-                self._report(joint, "does not answer", Cause.SILENT)
-            if tracker.quiet_until_ns(joint.servo_id) <= now_ns:
-                break
-            turn.rotate(-1)
-        else:
-            return False
-        if tracker.is_waiting(joint.servo_id):  # Replies to equal queries cannot be told apart.
-            return False
-        command = Command(joint.servo_id, keyword)
-        earliest_ns = tracker.earliest_ns(joint.servo_id, len(encode(command)))
-        if earliest_ns is None:
-            return False
-        self._next_ns[bus] = max(earliest_ns, line.free_ns)
-        if self._next_ns[bus] > now_ns:
-            return False
-        tracker.send(command, now_ns)
-        turn.rotate(-1)
-        if is_status_due:
-            self._status_ns[bus] = now_ns + self._status_every_ns
-        return True
-
-    def _guards(self, bus: str, now_ns: int) -> deque[tuple[Joint, str]]:
-        """Return the queries for which moves wait, of servos that may be queried now."""
-        tracker = self._trackers[bus]
-        return deque(
-            (hand.joint, hand.left[0])
-            for (own_bus, servo_id), hand in self._hands.items()
-            if own_bus == bus and hand.move and hand.left
-            if tracker.quiet_until_ns(servo_id) <= now_ns and not tracker.is_waiting(servo_id)
-        )
-
-    def _notice_status(self, hand: _PolledJoint, reply: Reply, asked_ns: int) -> None:
-        joint = hand.joint
-        if not isinstance(reply.value, int):
-            return
-        state = status_from(reply.value, joint.model.family, self.firmware.get(joint.name))
-        self.health[joint.name].status = state
-        if state in (Status.SAFE_MODE, Status.ERROR):
-            cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
-            self._report(joint, f"reports {state.value}", cause)
-        if hand.servo.is_limp_again(state, asked_ns):
-            hand.servo.powered_ns = None
-            self._report(joint, STATUS_TEXTS[Cause.RESTARTED], Cause.RESTARTED)
-
-    def _report(self, joint: Joint, text: str, cause: Cause) -> None:
-        if (key := f"{joint.name} {text}") not in self._reported:
-            self._reported.add(key)
-            self.faults.append(Faulted(joint.name, text, cause, FaultStep.WARN))
-
-
-def _status_turn(joints: Sequence[Joint], *, has_health: bool) -> deque[tuple[Joint, str]]:
-    """Return the queries about the state of servos: each servo in turn, then its next keyword."""
-    words = {
-        joint.name: health_words(joint.model.family) if has_health else ("Q",) for joint in joints
-    }
-    rounds = max(map(len, words.values()), default=0)
-    return deque(
-        (joint, own[place % len(own)])
-        for place in range(rounds)
-        for joint in joints
-        if (own := words[joint.name])
-    )
-
+PULSE_NS: Final = 20 * NS_PER_MS
+"""An RC servo gets its pulse so often, and no step may be shorter (FACTS.md B19)."""
+RAMP_PAUSE_S: Final = 0.1
+"""A pause of this program is not made up for by a jump of an RC servo."""
 
 SOFT: Final[Mapping[str, int]] = {"AH": -10, "AS": -4}
 """Settings of the session with which a hand can push a holding joint: the softest that the
@@ -360,8 +55,26 @@ document states what H does to a horn that was pushed. Chosen: above backlash an
 GIVE_WAY_S: Final = 0.02
 
 
+@dataclass(slots=True)
+class _Ramp:
+    """The way of an RC servo, which would jump: where it is sent, and where it is going."""
+
+    at_deg: float
+    to_deg: float
+    speed_deg_s: float
+
+    def after(self, seconds: float) -> float:
+        """Return where it is sent so much later, in servo degrees."""
+        step_deg = self.speed_deg_s * seconds
+        return self.at_deg + min(max(self.to_deg - self.at_deg, -step_deg), step_deg)
+
+
 class HandsOn:
     """Joints of `robot` that a person moves, until `stop`; `error` is set if it cannot begin.
+
+    Where a mechanism moves a joint, all of its servos do what is asked of the joint, together:
+    they go limp, hold and move at once, and its other joints with them. `servos` are those servos.
+    An RC servo stands where it was sent; it is led there in small steps.
 
     With `is_soft`, joints hold softly and stay where a hand pushes them. `answer_of` returns what a
     servo answered before the show. Without `needs_frame` a servo
@@ -379,7 +92,23 @@ class HandsOn:
         has_health: bool = False,
     ) -> None:
         self.robot = robot
-        self.joints = [_session(robot, name, is_soft=is_soft) for name in joints]
+        self.view = view = JointView(robot)
+        self._servo_robot = robot = robot.servo_robot
+        self.servos = [
+            _session(robot, name, is_soft=is_soft)
+            for name in dict.fromkeys(servo for name in joints for servo in view.servos_of(name))
+        ]
+        self.joints = self.servos
+        """The joints, each with all others that the same servos move."""
+        if not view.is_plain:
+            names = {mate for name in joints for mate in view.mates_of(name)}
+            self.joints = [joint for name, joint in self.robot.joints.items() if name in names]
+        self._mixed = JointReadings(view)
+        self._fresh: list[JointReading] = []
+        self._wanted_deg: dict[str, float] = {}
+        """Where joints of mechanisms were sent last, until they are limp or held."""
+        self._ramps: dict[str, _Ramp] = {}
+        self._ramped_ns = 0
         self.phase = Phase.CONNECT
         self.error: LssMotionError | None = None
         self.limp: set[str] = set()
@@ -387,11 +116,11 @@ class HandsOn:
         self._is_soft = is_soft
         self._held_deg: dict[str, float] = {}
         self._trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._poller = Poller(robot, self.joints, self._trackers, has_health=has_health)
+        self._poller = Poller(robot, self.servos, self._trackers, has_health=has_health)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
         self._needs_frame = needs_frame
-        self._before = Preflight(self.joints, robot, self._trackers)
+        self._before = Preflight(self.servos, robot, self._trackers)
         self._dialogue: Dialogue | Preflight | SettingsDialogue | None = self._before
         self._away: list[Joint] = []
         """Joints whose servos have restarted, and do not have their settings again."""
@@ -409,6 +138,7 @@ class HandsOn:
                 break
             self._after_dialogue(leaves_ns)
         if self.phase is Phase.SHOW and self._dialogue is None:
+            self._step_ramps(leaves_ns)
             self._poller.advance(leaves_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
@@ -420,7 +150,7 @@ class HandsOn:
             elif self.phase is Phase.SHOW:
                 self._poller.receive(bus, reply, ended_ns)
                 if self._poller.restarted or self._poller.doubled:
-                    self._begin_recovery()
+                    self._begin_recovery(now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         if self.phase is Phase.DONE:
@@ -433,7 +163,7 @@ class HandsOn:
     def next_event(self) -> Event | None:
         if self._events:
             return self._events.popleft()
-        return self._poller.faults.popleft() if self._poller.faults else None
+        return self.view.fault(self._poller.faults.popleft()) if self._poller.faults else None
 
     def safe_bytes(self) -> Mapping[str, bytes]:
         """Return the last bytes: hold, if any servo was released, held or moved."""
@@ -444,16 +174,23 @@ class HandsOn:
     @property
     def readings(self) -> Mapping[str, JointReading]:
         """The latest reading of each joint; complete from the show on."""
-        return self._poller.readings
+        self._mix()
+        return self._mixed.latest
+
+    def _mix(self) -> None:
+        """Take the readings of servos as those of joints."""
+        for reading in self._poller.take():
+            self._fresh += self._mixed.add(reading)
 
     @property
     def health(self) -> Mapping[str, ServoHealth]:
-        """What each servo reported last, besides its angle."""
+        """What each of `servos` reported last, besides its angle."""
         return self._poller.health
 
     def take(self) -> list[JointReading]:
         """Return the readings since the last call, oldest first."""
-        fresh = self._poller.take()
+        self._mix()
+        fresh, self._fresh = self._fresh, []
         if self._is_soft:
             self._give_way(fresh)
         return fresh
@@ -463,45 +200,109 @@ class HandsOn:
         """Whether no command waits for its place on the line."""
         return not self._poller.has_orders
 
-    def answer_of(self, name: str, keyword: str) -> int | None:
-        """Return the number (wire unit) that a joint's servo answered, if it did."""
-        joint = self.robot.joints[name]
+    def answer_of(self, servo: str, keyword: str) -> int | None:
+        """Return the number (wire unit) that a servo answered, if it did."""
+        joint = self._servo_robot.joints[servo]
         value = self._answers.get((joint.bus, joint.servo_id, keyword))
         return value if isinstance(value, int) else None
 
     def set(self, name: str, keyword: str, value: int) -> None:
-        """Set a value of a joint's servo (wire unit) that stays after the end."""
+        """Set a value of the servos of a joint (wire unit) that stays after the end."""
         for joint in self._ready([name]):
             self._poller.order(joint, Command(joint.servo_id, keyword, value))
 
     def let_go(self, joints: Iterable[str]) -> None:
         """Make joints limp: they fall if no hand holds them."""
-        for joint in self._ready(joints):
-            self._poller.order(joint, Command(joint.servo_id, "L"))
-            self.limp.add(joint.name)
+        names = self._with_mates(joints)
+        for servo in self._ready(names):
+            self._poller.order(servo, Command(servo.servo_id, "L"))
+            self._ramps.pop(servo.name, None)
+            self.limp |= names
+        self._forget(names)
 
     def hold(self, joints: Iterable[str]) -> None:
         """Make joints keep the angle at which they receive the command."""
-        for joint in self._ready(joints):
-            self._poller.order(joint, Command(joint.servo_id, "H"))
-            self._held_deg[joint.name] = self.readings[joint.name].deg
-            self.limp.discard(joint.name)
+        names = self._with_mates(joints)
+        for servo in self._ready(names):
+            self._ramps.pop(servo.name, None)
+            self._poller.order(servo, self._holding(servo))
+            self._held_deg |= {name: self.readings[name].deg for name in names}
+            self.limp -= names
+        self._forget(names)
+
+    def _with_mates(self, joints: Iterable[str]) -> frozenset[str]:
+        return frozenset(mate for name in joints for mate in self.view.mates_of(name))
+
+    def _forget(self, joints: Iterable[str]) -> None:
+        """Forget where joints were sent: they do not stand there any more."""
+        for name in joints:
+            self._wanted_deg.pop(name, None)
+
+    def _holding(self, servo: Joint) -> Command:
+        """Return what lets a servo hold; an RC servo knows only where it was sent."""
+        if has_reading(servo):
+            return Command(servo.servo_id, "H")
+        return _jump(servo, servo.servo_deg(self._poller.readings[servo.name].deg))
 
     def move(self, name: str, joint_deg: float, duration_s: float) -> float:
-        """Move a joint by its own profile; return the target, which is kept within its range."""
-        target_deg = joint_deg
-        for joint in self._ready([name]):
+        """Move a joint by the profile of its servos; return the target, kept within all ranges.
+
+        It takes longer where a servo or another joint of the mechanism would be too fast.
+        """
+        if self.phase is not Phase.SHOW:
+            return joint_deg
+        mechanism = self.view.mechanism_of(name)
+        if mechanism is None:
+            joint = self.robot.joints[name]
             target_deg = min(max(joint_deg, joint.position_min_deg), joint.position_max_deg)
-            command = make_command(
-                joint.model.language,
-                joint.servo_id,
-                "D",
-                joint.servo_deg(target_deg),
-                {"T": float(max(1, math.ceil(duration_s * MS_PER_S)))},
-            )
-            self._poller.order(joint, command)
+            self._send({name: target_deg}, duration_s)
             self.limp.discard(name)
-        return target_deg
+            return target_deg
+        wanted_deg = {
+            mate: self._wanted_deg.get(mate, self.readings[mate].deg) for mate in mechanism.joints
+        }
+        servos = self._poller.readings
+        aim = servo_targets(
+            mechanism,
+            self.robot,
+            {servo: servos[servo].deg for servo in mechanism.servos},
+            {**wanted_deg, name: joint_deg},
+            name,
+        )
+        self._wanted_deg |= aim.joint_deg
+        self._send(aim.servo_deg, max(duration_s, aim.least_s))
+        self.limp -= {*mechanism.joints}
+        return aim.joint_deg[name]
+
+    def _send(self, servo_deg: Mapping[str, float], duration_s: float) -> None:
+        """Send servos there, in degrees of ideal servos."""
+        self._has_acted = True
+        for name, deg in servo_deg.items():
+            servo = self._servo_robot.joints[name]
+            to_deg = servo.servo_deg(deg)
+            if has_reading(servo):
+                duration_ms = float(max(1, math.ceil(duration_s * MS_PER_S)))
+                language = servo.model.language
+                move = make_command(language, servo.servo_id, "D", to_deg, {"T": duration_ms})
+                self._poller.order(servo, move)
+                continue
+            here_deg = servo.servo_deg(self._poller.readings[name].deg)
+            at_deg = self._ramps[name].at_deg if name in self._ramps else here_deg
+            speed_deg_s = abs(to_deg - at_deg) / max(duration_s, s_from_ns(PULSE_NS))
+            self._ramps[name] = _Ramp(at_deg, to_deg, min(speed_deg_s, servo.speed_max_deg_s))
+
+    def _step_ramps(self, now_ns: int) -> None:
+        """Send RC servos a pulse's way on, in the steps that their board knows."""
+        if now_ns - self._ramped_ns < PULSE_NS:
+            return
+        passed_s = min(s_from_ns(now_ns - self._ramped_ns), RAMP_PAUSE_S)
+        self._ramped_ns = now_ns
+        for name, ramp in list(self._ramps.items()):
+            servo = self._servo_robot.joints[name]
+            ramp.at_deg = ramp.after(passed_s)
+            self._poller.order(servo, _jump(servo, ramp.at_deg))
+            if ramp.at_deg == ramp.to_deg:
+                del self._ramps[name]
 
     def stop(self) -> None:
         """Hold, restore the settings and end. A second call ends at once, holding."""
@@ -528,10 +329,13 @@ class HandsOn:
             case Phase.PREPARE:
                 self._answers = {**self._answers, **dialogue.answers}
                 self._poller.watch(self._probes())
-                for joint in self.joints:
-                    angle_deg = handshake.reported(joint, self._answers, "QD")
+                for servo in self.servos:
+                    angle_deg = handshake.reported(servo, self._answers, "QD")
                     assert angle_deg is not None, "essential queries are answered"
-                    self._poller.note(joint, now_ns, angle_deg)
+                    if not has_reading(servo) and self.answer_of(servo.name, "QG") == -1:
+                        # FACTS.md B9.
+                        angle_deg = -RC_RANGE_DEG * 10.0 / servo.model.wire_per_deg - angle_deg
+                    self._poller.note(servo, now_ns, angle_deg)
                 self._enter(Phase.SHOW)
             case _:
                 self._finish(now_ns)
@@ -540,9 +344,9 @@ class HandsOn:
         try:
             preflight.require_own_ids()
             texts = checks.check_answers(
-                self.joints,
+                self.servos,
                 self._answers,
-                self.robot,
+                self._servo_robot,
                 stored=preflight.stored,
                 needs_frame=self._needs_frame,
             )
@@ -552,42 +356,45 @@ class HandsOn:
             self._restore()
             return
         self._poller.firmware = {
-            joint.name: checks.reported_firmware(joint, self._answers) for joint in self.joints
+            joint.name: checks.reported_firmware(joint, self._answers) for joint in self.servos
         }
         self._has_set = True
         self._enter(Phase.PREPARE)
-        orders = handshake.session_orders(self.joints, self._answers)
-        orders += handshake.unconfirmed_orders(self.joints, self._answers)
-        self._dialogue = self._ask([*handshake.settings_queries(self.joints), *orders])
+        orders = handshake.session_orders(self.servos, self._answers)
+        orders += handshake.unconfirmed_orders(self.servos, self._answers)
+        self._dialogue = self._ask([*handshake.settings_queries(self.servos), *orders])
 
     def _probes(self) -> dict[str, list[Probe]]:
         """Return what shows whether a servo has restarted; of some it is only the gyre."""
-        probes = handshake.probes(self.joints, self._answers)
-        for joint in self.joints:
+        probes = handshake.probes(self.servos, self._answers)
+        for joint in self.servos:
             gyre = self.answer_of(joint.name, "QG")
             if joint.name not in probes and gyre is not None:
                 probes[joint.name] = [Probe("QG", gyre, None)]
         return probes
 
-    def _begin_recovery(self) -> None:
+    def _begin_recovery(self, now_ns: int) -> None:
         """Compare servos that have restarted with what they were, and set them up again.
 
         For those whose answers come twice another one with the same id is looked for.
         """
         restarted, self._poller.restarted = self._poller.restarted, {}
         doubled, self._poller.doubled = self._poller.doubled, []
-        self._away = [one for one in self.joints if one.name in restarted or one in doubled]
-        for joint in self._away:
-            if joint.name in restarted:
-                self.limp.add(joint.name)
-                text = f"{restarted[joint.name]}. It is limp"
-                self._events.append(Faulted(joint.name, text, Cause.RESTARTED, FaultStep.WARN))
+        self._away = [one for one in self.servos if one.name in restarted or one in doubled]
+        for servo in self._away:
+            for mate in self._poller.stop_mates(servo):
+                self.lines[mate.bus].send(encode(Command(mate.servo_id, "H")), now_ns)
+            if servo.name in restarted:
+                self.limp |= self._with_mates([self.view.label(servo.name)[0]])
+                text = f"{restarted[servo.name]}. It is limp"
+                fault = Faulted(servo.name, text, Cause.RESTARTED, FaultStep.WARN)
+                self._events.append(self.view.fault(fault))
         self._prove(doubled)
 
     def _prove(self, suspects: Sequence[Joint] = ()) -> None:
         self._dialogue = Preflight(
             self._away,
-            self.robot,
+            self._servo_robot,
             self._trackers,
             before=self._before,
             suspects=suspects,
@@ -624,9 +431,9 @@ class HandsOn:
         self._enter(Phase.RESTORE)
         orders: list[Item] = []
         if self._has_acted:
-            orders += [Item.to(joint, "H") for joint in self.joints]
+            orders += [Item.to(servo, "H") for servo in self.servos if has_reading(servo)]
         if self._has_set:
-            orders += handshake.restoring_orders(self.joints, self._answers)
+            orders += handshake.restoring_orders(self.servos, self._answers)
         self._dialogue = self._ask(orders)
 
     def _finish(self, now_ns: int) -> None:
@@ -647,7 +454,8 @@ class HandsOn:
         if self.phase is not Phase.SHOW:
             return []
         self._has_acted = True
-        return [self.robot.joints[name] for name in joints]
+        servos = dict.fromkeys(servo for name in joints for servo in self.view.servos_of(name))
+        return [self._servo_robot.joints[name] for name in servos]
 
     def _give_way(self, fresh: Iterable[JointReading]) -> None:
         """Make joints that were pushed hold their present angle."""
@@ -657,13 +465,15 @@ class HandsOn:
                 self._held_deg[name] = self.move(name, deg, GIVE_WAY_S)
 
 
+def _jump(servo: Joint, servo_deg: float) -> Command:
+    """Return what sends an RC servo there: to the next whole degree."""
+    step = servo.model.wire_step
+    wire = round(servo_deg * servo.model.wire_per_deg / step) * step
+    return Command(servo.servo_id, "D", wire)
+
+
 def _session(robot: Robot, name: str, *, is_soft: bool) -> Joint:
-    """Return a joint with the session's settings; raises `InputError` if it cannot be read."""
-    joint = robot.joints[name]
-    if joint.model.family is Family.IO2:
-        raise InputError(
-            f"joint {name!r} is on an {joint.model.name}, which cannot read where its servos "
-            "are; leave it out with --joints",
-            path=robot.path,
-        )
-    return replace(joint, settings={**joint.settings, **(SOFT if is_soft else {})})
+    """Return a servo with the session's settings."""
+    servo = robot.joints[name]
+    soft = SOFT if is_soft and has_reading(servo) else {}
+    return replace(servo, settings={**servo.settings, **soft})

@@ -48,6 +48,23 @@ class JointView:
         """Return what stands between a joint and its servos; None: nothing."""
         return self._by_joint.get(joint)
 
+    def mechanism_of_servo(self, servo: str) -> Mechanism | None:
+        """Return what stands between a servo and its joints; None: nothing."""
+        return self._by_servo.get(servo)
+
+    def servo_deg(self, joint_deg: Mapping[str, float]) -> dict[str, float]:
+        """Return the angles of the servos of which all joints are known."""
+        found: dict[str, float] = {}
+        for name, deg in joint_deg.items():
+            mechanism = self._by_joint.get(name)
+            if mechanism is None:
+                found[name] = deg
+            elif name == mechanism.joints[0] and {*mechanism.joints} <= joint_deg.keys():
+                row = np.array([[joint_deg[joint] for joint in mechanism.joints]])
+                servos = mechanism.transmission.servo_deg(row)[0].tolist()
+                found |= dict(zip(mechanism.servos, servos, strict=True))
+        return found
+
     def servos_of(self, joint: str) -> tuple[str, ...]:
         """Return the servos that move a joint."""
         mechanism = self._by_joint.get(joint)

@@ -25,6 +25,7 @@ from lss_motion.files.texts import known_names
 from lss_motion.playing import connection as connections
 from lss_motion.playing.api import compile, is_simulated, plan, with_port  # noqa: A004
 from lss_motion.playing.discovery import limit_questions, robot_from_answers
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.player import handshake
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.player.handshake import Item
@@ -90,19 +91,22 @@ class Live:
         self.warnings: list[str] = []
         """What a person may want to mend, found when the robot was checked."""
         self._limp: dict[str, Joint] = {}
+        """Servos without power, by name."""
         self._held_deg: dict[str, float] = {}
-        """Where joints that hold stood last, in joint degrees."""
+        """Where servos that hold stood last, in degrees of ideal servos."""
         self._is_closed = False
         self._opened = self._open(robot)
         try:
             if robot.unread:
                 robot = robot_from_answers(robot, self._connection.ask(limit_questions(robot)))
-            _, self.warnings = self._connection.examined(robot.joints.values(), robot)
+            servos = robot.servo_robot
+            _, self.warnings = self._connection.examined(servos.joints.values(), servos)
         except BaseException:
             self._leave()
             raise
         self.robot = robot
         """The robot, with the limits that its file leaves to the servos."""
+        self._view, self._servos = JointView(robot), robot.servo_robot
         self._is_failed = False
         atexit.register(self.close)
 
@@ -128,13 +132,17 @@ class Live:
                 name: round(one.predicted_deg if one.read_deg is None else one.read_deg, 3) + 0.0
                 for name, one in known.items()
             }
-        joints = list(self.robot.joints.values())
-        answers = self._ask(handshake.position_queries(joints))
-        standing_deg = handshake.standing_deg(joints, answers)
-        if silent := [joint for joint in joints if joint.name not in standing_deg]:
-            raise handshake.silent_error(silent, joints, self.robot, answers)
         # + 0.0: no -0.0 is shown.
-        return {joint.name: joint.joint_deg(standing_deg[joint.name]) + 0.0 for joint in joints}
+        return {name: deg + 0.0 for name, deg in self._view.joint_deg(self._read_servos()).items()}
+
+    def _read_servos(self) -> dict[str, float]:
+        """Return where every servo is, in degrees of ideal servos."""
+        servos = list(self._servos.joints.values())
+        answers = self._ask(handshake.position_queries(servos))
+        standing_deg = handshake.standing_deg(servos, answers)
+        if silent := [servo for servo in servos if servo.name not in standing_deg]:
+            raise handshake.silent_error(silent, servos, self._servos, answers)
+        return {servo.name: servo.joint_deg(standing_deg[servo.name]) for servo in servos}
 
     def move_to(
         self,
@@ -147,8 +155,9 @@ class Live:
 
         That is `duration_s`, or longer where a limit requires it; without `duration_s` as short as
         the limits allow. Joints that are limp are held again if they are moved, and the others stay
-        as they are. `controls` may stop it on the way. Raises `InputError` for an unknown joint or
-        an angle out of its range, and `PlaybackError` if a joint does not follow.
+        as they are; those of the same mechanism hold where they stand. `controls` may stop it on
+        the way. Raises `InputError` for an unknown joint or an angle out of its range, and
+        `PlaybackError` if a joint does not follow.
         """
         if not deg:
             raise InputError("move_to needs at least one joint and its angle")
@@ -157,24 +166,30 @@ class Live:
         targets = target_values(deg, self.robot.joints)
         timing = Timing.FASTEST if duration_s is None else Timing.AUTHORED
         check_sequence(Sequence(name="move", keyframes=(Keyframe(deg=targets),)), self.robot)
-        joints = [self.robot.joints[name] for name in targets]
-        here = self.read()
-        self._require_same_turn(joints, here)
+        moved = dict.fromkeys(mate for name in targets for mate in self._view.mates_of(name))
+        joints = [self.robot.joints[name] for name in moved]
+        servos = dict.fromkeys(servo for name in moved for servo in self._view.servos_of(name))
+        servos_deg = self._read_servos()
+        self._require_same_turn([self._servos.joints[name] for name in servos], servos_deg)
+        here = {name: deg + 0.0 for name, deg in self._view.joint_deg(servos_deg).items()}
         from_deg = {
             joint.name: min(max(here[joint.name], joint.position_min_deg), joint.position_max_deg)
             for joint in joints
         }
+        to_deg = {name: targets.get(name, from_deg[name]) for name in moved}
         keyframes = (
             Keyframe(deg=from_deg, at_s=None if duration_s is None else 0.0),
-            Keyframe(deg=targets, at_s=duration_s),
+            Keyframe(
+                deg={name: targets.get(name, from_deg[name]) for name in moved}, at_s=duration_s
+            ),
         )
         trajectory = plan(Sequence(name="move", keyframes=keyframes, timing=timing), self.robot)
         program = compile(trajectory, self.robot)
         # It holds between moves; what the robot file wants at the end comes at the end.
-        robot = replace(self.robot, end="hold")
+        robot = replace(self._servos, end="hold")
         player = Player(Repertoire.single(program, robot), robot)
         self._guarded(player, controls)
-        for name in targets:
+        for name in servos:
             self._limp.pop(name, None)
         self._send_limp(self._limp.values())
         if player.error is not None:
@@ -182,7 +197,8 @@ class Live:
         if player.outcome != "finished":
             text = "; ".join(str(fault) for fault in player.faults) or "the move was stopped"
             raise PlaybackError(f"{text}. The robot holds")
-        self._held_deg |= {name: here[name] for name in here if name not in self._limp} | targets
+        self._held_deg |= {name: servos_deg[name] for name in servos_deg if name not in self._limp}
+        self._held_deg |= self._view.servo_deg(to_deg)
         return program.duration_s
 
     def set_target(self, deg: Mapping[str, float]) -> None:
@@ -221,6 +237,7 @@ class Live:
         """
         from lss_motion.playing.remote.handle import TARGET_EVERY_S
 
+        self.robot.require_servos("set_target")
         (joint,) = self._named((name,))
         low_deg = {one.name: one.position_min_deg for one in self.robot.joints.values()}
         program = live_program(self.robot, low_deg)
@@ -235,6 +252,7 @@ class Live:
 
         if self._clock.is_virtual:
             raise InputError("set_target is for a robot in real time: connect without is_virtual")
+        self.robot.require_servos("set_target")
         here = self.read()
         for name in names:
             self._limp.pop(name, None)
@@ -274,19 +292,22 @@ class Live:
                 raise PlaybackError(f"joint {joint.name!r} {text}", joint=joint.name)
 
     def limp(self, *names: str) -> None:
-        """Take the power from these joints, or from all: they fall, and hands can move them."""
-        joints = self._named(names)
-        for joint in joints:
-            self._limp[joint.name] = joint
-            self._held_deg.pop(joint.name, None)
-        self._send_limp(joints)
+        """Take the power from these joints, or from all: they fall, and hands can move them.
+
+        All joints of a mechanism go limp together.
+        """
+        servos = self._servos_named(names)
+        for servo in servos:
+            self._limp[servo.name] = servo
+            self._held_deg.pop(servo.name, None)
+        self._send_limp(servos)
 
     def hold(self, *names: str) -> None:
         """Hold these joints, or all, where they are now."""
-        joints = self._named(names)
-        for joint in joints:
-            self._limp.pop(joint.name, None)
-        self._ask([Item.to(joint, "H") for joint in joints])
+        servos = self._servos_named(names)
+        for servo in servos:
+            self._limp.pop(servo.name, None)
+        self._ask([Item.to(servo, "H") for servo in servos])
 
     def hold_at_end(self) -> None:
         """Let the last bytes hold all joints, whatever `end` of the robot file says."""
@@ -333,6 +354,12 @@ class Live:
             if name not in self.robot.joints:
                 raise InputError(f"unknown joint {name!r}; {known_names(name, self.robot.joints)}")
         return [self.robot.joints[name] for name in names or self.robot.joints]
+
+    def _servos_named(self, names: tuple[str, ...]) -> list[Joint]:
+        """Return the servos of these joints, or all."""
+        joints = self._named(names)
+        own = dict.fromkeys(servo for one in joints for servo in self._view.servos_of(one.name))
+        return [self._servos.joints[name] for name in own]
 
     def _send_limp(self, joints: Iterable[Joint]) -> None:
         if orders := [Item.to(joint, "L") for joint in joints]:

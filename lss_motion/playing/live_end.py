@@ -20,10 +20,12 @@ from msgspec import Struct
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.texts import known_names
 from lss_motion.playing.hands_on import HandsOn
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.player.events import Faulted, Phase, Warned
 from lss_motion.playing.remote import schema as m
+from lss_motion.playing.remote.joint_health import joints_health
 from lss_motion.playing.remote.player_end import message_of
-from lss_motion.protocol.constants import Family, Status, status_from
+from lss_motion.protocol.constants import Status, status_from
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -136,12 +138,7 @@ class LiveSession:
 
     def __init__(self, live: Live, operator: Operator, tasks: GuidedTasks | None = None) -> None:
         self._live, self._operator, self._tasks = live, operator, tasks
-        self._joints = [
-            name for name, joint in live.robot.joints.items() if joint.model.family != Family.IO2
-        ]
-        if not self._joints:
-            raise InputError("no joint of this robot reports where it is")
-        live.robot.require_turns(live.robot.joints[name] for name in self._joints)
+        live.robot.require_turns(live.robot.servo_robot.joints.values())
         self._poses = dict(live.robot.poses)
         self._is_over = False
         self._limp: set[str] = set()
@@ -159,7 +156,7 @@ class LiveSession:
                 tasks=self._tasks,
             )
             self._live.by_hand(
-                HandsOn(self._live.robot, self._joints, has_health=True),
+                HandsOn(self._live.robot, list(self._live.robot.joints), has_health=True),
                 controls=hands,
                 on_event=self._note,
             )
@@ -252,6 +249,7 @@ class Stopping:
             for name, state in states.items()
             if state.disturbance.measured_deg is not None
         }
+        read_deg = JointView(self._robot).joint_deg(read_deg)
         self._operator.offer(live_state(self._robot, read_deg, self._limp, is_ready=True))
 
 
@@ -340,16 +338,15 @@ class Hands:
             case m.Jog():
                 self._jog(operation, hands_on, now_ns)
             case m.Limp() | m.Hold():
-                names = self._named(operation.joints, hands_on)
+                names = self._with_mates(self._named(operation.joints, hands_on), hands_on)
                 self._found_limp -= set(names)
                 for name in names:
                     self._jogs.pop(name, None)
                 if isinstance(operation, m.Limp):
                     hands_on.let_go(names)
-                    self.limp |= set(names)
                 else:
                     hands_on.hold(names)
-                    self.limp -= set(names)
+                self.limp = set(hands_on.limp)
             case m.PoseGo():
                 self._require_pose(operation.pose)
                 self._want(operation, hands_on)
@@ -379,7 +376,8 @@ class Hands:
     def _jog(self, operation: m.Jog, hands_on: HandsOn, now_ns: int) -> None:
         (name,) = self._named((operation.joint,), hands_on)
         joint = self._robot.joints[name]
-        self._found_limp.discard(name)
+        mates = self._with_mates([name], hands_on)
+        self._found_limp -= set(mates)
         limit_deg_s = self._robot.approach_deg_s(joint)
         speed_deg_s = operation.speed_ratio * limit_deg_s
         jog = self._jogs.get(name)
@@ -387,7 +385,7 @@ class Hands:
             here_deg = hands_on.readings[name].deg
             range_deg = joint.position_min_deg, joint.position_max_deg
             jog = self._jogs[name] = Jogging(speed_deg_s, here_deg, now_ns, now_ns, *range_deg)
-            self.limp.discard(name)
+            self.limp -= set(mates)
         elif jog is not None:
             jog.low_deg, jog.high_deg = joint.position_min_deg, joint.position_max_deg
             jog.speed_deg_s, jog.asked_ns = speed_deg_s or jog.speed_deg_s, now_ns
@@ -480,6 +478,10 @@ class Hands:
                 raise InputError(f"unknown joint {name!r}; {known_names(name, known)}")
         return list(names) or known
 
+    def _with_mates(self, names: Sequence[str], hands_on: HandsOn) -> list[str]:
+        """Return joints with all that the same servos move."""
+        return list(dict.fromkeys(mate for one in names for mate in hands_on.view.mates_of(one)))
+
     # ---- calibrate and identify
 
     def _maintain(self, operation: m.Maintain, hands_on: HandsOn) -> None:
@@ -541,10 +543,10 @@ def _braking_s(joint: Joint, jog: Jogging) -> float:
 def found_limp(hands_on: HandsOn) -> set[str]:
     """Return the joints that reported to be limp when they were asked, as after power-up."""
     limp = set()
-    for joint in hands_on.joints:
-        code, firmware = (hands_on.answer_of(joint.name, key) for key in ("Q", "QF"))
-        if code is not None and status_from(code, joint.model.family, firmware) is Status.LIMP:
-            limp.add(joint.name)
+    for servo in hands_on.servos:
+        code, firmware = (hands_on.answer_of(servo.name, key) for key in ("Q", "QF"))
+        if code is not None and status_from(code, servo.model.family, firmware) is Status.LIMP:
+            limp |= {*hands_on.view.mates_of(hands_on.view.label(servo.name)[0])}
     return limp
 
 
@@ -577,10 +579,11 @@ def live_health(robot: Robot, hands_on: HandsOn) -> m.Health:
             current_a=health.current_a,
             error_deg=None,
             correction_deg=0.0,
-            allowed_deg=robot.joints[name].following_deg,
+            allowed_deg=robot.servo_robot.joints[name].following_deg,
         )
         for name, health in hands_on.health.items()
     }
+    joints = joints_health(hands_on.view, joints, {})
     return m.Health(
         phase="live",
         show_s=None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lss_motion.playing.hands_on import Poller
+from lss_motion.playing.hands_poller import Poller
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.protocol.framing import Command
 from lss_motion.robot.model import Bus, Robot

@@ -17,7 +17,7 @@ from lss_motion.maintenance.take import (
     within,
 )
 from lss_motion.planning.trajectory.planner import plan
-from lss_motion.playing.hands_on import JointReading
+from lss_motion.playing.hands_mapping import JointReading
 from lss_motion.robot.load import load_robot
 from lss_motion.show.load import load_sequence
 from lss_motion.show.write import write_sequence
