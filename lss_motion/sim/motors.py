@@ -204,6 +204,8 @@ class Motors:
         self._orders: list[tuple[int, int, int, Order]] = []
         self._order_count = 0
         self._tick_ns = 0
+        self._followed_ns = 0
+        """Up to when the drives are simulated: a bus may be ahead of what its host has read."""
         self._is_quiet = True
         self._start_ns = 0
         self._led = {index: spec.hand for index, spec in enumerate(specs) if spec.hand is not None}
@@ -222,11 +224,11 @@ class Motors:
     def advance(self, now_ns: int) -> None:
         """Simulate all servos up to `now_ns`. The result does not depend on the number of calls."""
         self.follow(now_ns)
-        self._close_block(now_ns)
+        self._close_block(self._followed_ns)
 
     def follow(self, now_ns: int) -> None:
         """Simulate the drives up to `now_ns`: orders and phases. Control loops may be owed."""
-        horns = self.horns
+        horns, self._followed_ns = self.horns, max(now_ns, self._followed_ns)
         while True:
             order_ns = self._orders[0][0] if self._orders else FOREVER_NS
             if horns.block is None and now_ns >= self._tick_ns + TICK_NS:

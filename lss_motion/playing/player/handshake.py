@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from msgspec import Struct
@@ -47,6 +48,10 @@ answer, one of 700 queries stays open. A servo without any answer does not get i
 AGREE_TRIES: Final = 8
 """A query whose answer must be confirmed is sent this often at most: on a line that corrupts every
 third answer, one of 500 queries stays open."""
+UNEXPECTED_AGREEING: Final = 5
+"""So many answers must agree on an angle where a joint that rests was not. Chosen: of answers of
+which every other one has lost a byte, two like `-11` and `-18` for `-118` come before two right
+ones at one servo of 8, five at one of 400 (computed)."""
 
 
 class Item(Struct, frozen=True, kw_only=True):
@@ -54,6 +59,7 @@ class Item(Struct, frozen=True, kw_only=True):
 
     With `agree_within`, a number is accepted when `agreeing` answers differ by no more than that
     (wire units), and a word when it came so often: a bus without checksums can deliver a wrong one.
+    A number that differs by more from `expected` needs `UNEXPECTED_AGREEING`.
     """
 
     bus: str
@@ -61,6 +67,7 @@ class Item(Struct, frozen=True, kw_only=True):
     tries: int = TRIES
     agree_within: int | None = None
     agreeing: int = 2
+    expected: int | None = None
 
     @classmethod
     def to(cls, servo: Joint | Sensor, keyword: str, value: int | None = None) -> Item:
@@ -85,12 +92,15 @@ class _Entry:
             return True
         agreeing = 1 + sum(_agree(value, earlier, within) for earlier in self.earlier_values)
         self.earlier_values.append(value)
-        return agreeing >= self.item.agreeing
+        expected = self.item.expected
+        is_expected = expected is None or _agree(value, expected, within)
+        return agreeing >= (self.item.agreeing if is_expected else UNEXPECTED_AGREEING)
 
     @property
     def may_agree(self) -> bool:
         """Whether it is worth sending it again, after an answer that was not accepted."""
-        return len(self.earlier_values) < AGREE_TRIES * (self.item.agreeing - 1)
+        agreeing = self.item.agreeing if self.item.expected is None else UNEXPECTED_AGREEING
+        return len(self.earlier_values) < AGREE_TRIES * (agreeing - 1)
 
 
 class Transactions(Protocol):
@@ -300,13 +310,14 @@ class SettingsDialogue:
         joints: Sequence[Joint],
         answers: Answers,
         trackers: Mapping[str, QueryTracker],
+        expected_deg: Mapping[str, float] = MappingProxyType({}),
     ) -> SettingsDialogue:
         """Return the dialogue that gives servos the settings for a show, and asks where they are.
 
-        `answers` are those before anything was changed.
+        `answers` are those before anything was changed; for `expected_deg` see `position_queries`.
         """
         orders, unconfirmed = session_orders(joints, answers), unconfirmed_orders(joints, answers)
-        return cls(orders, position_queries(joints), unconfirmed, trackers)
+        return cls(orders, position_queries(joints, expected_deg), unconfirmed, trackers)
 
     @property
     def is_finished(self) -> bool:
@@ -535,9 +546,18 @@ def settings_queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -
     return [query(joint, f"Q{word}") for joint in joints for word in changed(joint, led_joints)]
 
 
-def position_queries(joints: Iterable[Joint]) -> list[Item]:
-    """Return the position query of every servo."""
-    return [query(joint, "QD") for joint in joints]
+def position_queries(
+    joints: Iterable[Joint], expected_deg: Mapping[str, float] = MappingProxyType({})
+) -> list[Item]:
+    """Return the position query of every servo; those that rest should be at `expected_deg`."""
+    return [
+        replace(
+            query(joint, "QD"), expected=round(expected_deg[joint.name] * joint.model.wire_per_deg)
+        )
+        if joint.name in expected_deg
+        else query(joint, "QD")
+        for joint in joints
+    ]
 
 
 def query(joint: Joint, keyword: str) -> Item:

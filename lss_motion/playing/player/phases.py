@@ -399,7 +399,7 @@ class PhaseMachine:
         self.has_set, self._approaches = True, 0
         self._preparation = Preparation(self.now_ns, self.session.timeouts)
         self._enter(Phase.PREPARE)
-        self.dialogue = self.session.settings_dialogue()
+        self.dialogue = self.session.settings_dialogue(self.now_ns)
 
     def _prepared(self, settings: SettingsDialogue, now_ns: int) -> None:
         if self._has_lost_turns(settings.answers, now_ns):
@@ -421,7 +421,7 @@ class PhaseMachine:
 
     def _examine(self, now_ns: int) -> None:
         """Ask the servos, which rest, where they stand, and whether they have their settings."""
-        self.dialogue, self._asked_ns = self.session.arrival_dialogue(), now_ns
+        self.dialogue, self._asked_ns = self.session.arrival_dialogue(now_ns), now_ns
 
     def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
         """End the run if a joint is in another turn than it was: no move takes it back."""

@@ -201,16 +201,16 @@ class Session:
             suspects=suspects,
         )
 
-    def settings_dialogue(self) -> SettingsDialogue:
+    def settings_dialogue(self, now_ns: int) -> SettingsDialogue:
         """Return the dialogue that gives the servos their settings and polls their positions."""
-        return SettingsDialogue.of(self.driven, self.original, self.trackers)
+        expected_deg = self._expected_deg(now_ns)
+        return SettingsDialogue.of(self.driven, self.original, self.trackers, expected_deg)
 
-    def arrival_dialogue(self) -> Dialogue:
-        """Return the queries after an approach: positions, and whether a servo has restarted."""
+    def arrival_dialogue(self, now_ns: int) -> Dialogue:
+        """Return the queries around an approach: positions, and whether a servo has restarted."""
         probes = handshake.restart_probes(self.driven, self.original)
-        return self.dialogue(
-            [*handshake.read_back(probes), *handshake.position_queries(self.driven)]
-        )
+        positions = handshake.position_queries(self.driven, self._expected_deg(now_ns))
+        return self.dialogue([*handshake.read_back(probes), *positions])
 
     def restoring_dialogue(self) -> Dialogue:
         """Return the orders that give the servos back their settings."""
@@ -367,6 +367,10 @@ class Session:
     def _commanded_deg(self, now_ns: int) -> dict[str, float]:
         """Return the servo angles to which the last moves sent the servos."""
         return {name: state.place(now_ns)[0] for name, state in self._states.items()}
+
+    def _expected_deg(self, now_ns: int) -> dict[str, float]:
+        """Return the servo angles where the servos, which rest, were sent, or stood."""
+        return self.standing_deg | self._commanded_deg(now_ns)
 
     # ---- streamers
 

@@ -3,8 +3,15 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from msgspec.structs import replace
 
-from lss_motion.playing.player.handshake import AGREE_TRIES, TRIES, Dialogue, Item
+from lss_motion.playing.player.handshake import (
+    AGREE_TRIES,
+    TRIES,
+    UNEXPECTED_AGREEING,
+    Dialogue,
+    Item,
+)
 from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
 from lss_motion.protocol.framing import Command, Reply
 
@@ -141,6 +148,24 @@ def test_what_matters_is_believed_when_two_answers_agree(kit, values, within, be
     bench = TransactionBench(
         [sure(1, within)], lambda bus, data: [(10**6, Reply(1, "QD", next(said)))], kit
     )
+    bench.run()
+    assert bench.dialogue.answers == {("main", 1, "QD"): believed}
+    assert len(bench.sent) == len(values)
+
+
+@pytest.mark.parametrize(
+    ("values", "believed"),
+    [
+        ([-118, -117], -117),
+        ([-11, -18, -118, -11, -119], -119),
+        ([-11] * UNEXPECTED_AGREEING, -11),
+        ([-11, -118, -11, -11, -18, -11], -11),
+    ],
+)
+def test_a_joint_that_rests_is_elsewhere_when_more_answers_agree(kit, values, believed):
+    """`-118` that lost a digit, twice, is no other place; a hand may have moved it."""
+    said, item = iter(values), replace(sure(1, 20), expected=-118)
+    bench = TransactionBench([item], lambda *_: [(10**6, Reply(1, "QD", next(said)))], kit)
     bench.run()
     assert bench.dialogue.answers == {("main", 1, "QD"): believed}
     assert len(bench.sent) == len(values)

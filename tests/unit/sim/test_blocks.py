@@ -87,3 +87,24 @@ def test_a_long_motion_that_is_not_read_owes_no_more_than_a_block(make_host):
     block = host.bus.motors.horns.block
     assert block is not None
     assert block.ns > host.now_ns + 100 * S - BLOCK_NS
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_to_look_at_the_horns_of_a_bus_that_is_ahead_changes_nothing(make_host, make_servo, seed):
+    """A port asks when the next reply comes: the bus is then simulated up to that instant."""
+
+    def horns_deg(*, is_watched):
+        servos = [make_servo(one) for one in (1, 2, 3)]
+        host, random = make_host(*servos, baud_bps=19200), Random(seed)
+        for _ in range(80):
+            host.bus.read(host.now_ns)
+            texts = [f"#{one}D{random.randint(-100, 100)}T300\r" for one in (1, 2, 3)]
+            host.bus.write("".join([*texts, "#1QD\r"]).encode(), host.now_ns)
+            host.bus.next_arrival_ns()
+            if is_watched:
+                host.bus.horn_deg([host.now_ns])
+            host.now_ns += random.randrange(S // 30, S // 5)
+        host.wait_s(1.0)
+        return host.bus.horn_deg(range(0, host.now_ns, TICK_NS))
+
+    assert np.abs(horns_deg(is_watched=True) - horns_deg(is_watched=False)).max() < 1e-9
