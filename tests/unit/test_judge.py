@@ -273,6 +273,14 @@ def test_a_wrong_frame_of_the_servo_is_objected_to_unless_the_file_has_it():
     assert "frame" not in rules(run, robot)
 
 
+@pytest.mark.parametrize("garbled", ["#209o-700", "#209SD1", "#209EM0", "#209AR-9000"])
+def test_a_board_has_no_settings_of_servos(garbled):
+    """Another host, or a garbled `#209D-700`, writes what a 2IO does not know."""
+    run = record()
+    servo(run, 209)["received"].insert(4, [2.05, f"{garbled}\r"])
+    assert rules(run) == set()
+
+
 def test_leading_a_horn_back_into_its_range_is_allowed_and_leading_it_further_out_is_not():
     run = record()
     servo(run, 3)["horn_deg"] = trapezoid(2.0, 63.0, 30.0, 20.0, 400.0)

@@ -41,7 +41,8 @@ FACTORY_RANGE: Final = 1800
 MOVES: Final = frozenset({"D", "MD", "P", "M"})
 WHEELS: Final = frozenset({"WD", "WR", "RDM"})
 SESSION: Final = frozenset({"SD", "AA", "AD", "EM", "FPC", "G", "O", "AR"})
-MIRRORED: Final = {"SR": "SD", "CSR": "SD"}
+BOARD_SESSION: Final = frozenset({"G"})
+"""The pins of a 2IO have no other of these settings; the board has no `O`."""
 
 
 @dataclass(frozen=True)
@@ -167,12 +168,13 @@ class Session:
         word, value = section.keyword, section.value
         if value is None:
             return
-        is_config = word.startswith("C") and word[1:] in SESSION | {"SR"}
+        known = BOARD_SESSION if self.joint.family == IO2 else SESSION | {"SR"}
+        is_config = word.startswith("C") and word[1:] in known
         name = word[1:] if is_config else word
+        if name not in known:
+            return
         if name == "SR":
             name, value = "SD", round(value * RPM_DEG_S / self._speed_deg_s)
-        if name not in SESSION:
-            return
         if name == "SD":
             value = min(value, self._factory["SD"])
         self.session[name] = value
