@@ -99,6 +99,7 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
     lines += _given_up_lines(trajectory, is_whole=is_whole)
     lines += [f"shorter: {hold_text(mark)}" for mark in shortened_holds(trajectory)]
     lines += _rest_lines(trajectory, is_whole=is_whole)
+    lines += _beyond_lines(trajectory, is_whole=is_whole)
     lines += _smooth_lines(trajectory, is_whole=is_whole)
     uses = limit_uses(trajectory, robot)
     width = max(len(name) for name in (*trajectory.joints, "joint"))
@@ -208,6 +209,19 @@ def _rest_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
         for mark in shortened_rests(trajectory)
     ]
     return _worst(texts, "more rest", "shortened less", is_whole=is_whole)
+
+
+def _beyond_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
+    """Return which joints go beyond their keys by a slope that the author gives, most first."""
+    found = [
+        (deg, name, mark) for mark in trajectory.marks for name, deg in mark.beyond_deg.items()
+    ]
+    texts = [
+        f"beyond: joint {name!r} goes {deg:.1f} deg beyond its keys around keyframe "
+        f"{mark_name(mark)}, by its slope_deg_s"
+        for deg, name, mark in sorted(found, key=lambda one: -one[0])
+    ]
+    return _worst(texts, "more key", "passed less far", is_whole=is_whole)
 
 
 def smoothings(trajectory: Trajectory) -> list[Smoothing]:

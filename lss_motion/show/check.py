@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
+from lss_motion.show.model import FLOWING, Timing
 
 if TYPE_CHECKING:
     from collections import abc
@@ -59,6 +60,43 @@ def joint_problems(
                 yield index, name, f"unknown joint {name!r}; {known_names(name, robot.joints)}"
             elif not is_offset and (reason := joint.range_problem(angle_deg)):
                 yield index, name, reason
+
+
+def slope_problems(
+    keyframes: abc.Sequence[Keyframe], timing: Timing
+) -> abc.Iterator[tuple[int, str, str]]:
+    """Yield keyframe index, joint and reason of every slope that no joint can have at its key."""
+    own: dict[str, list[int]] = {}
+    for index, frame in enumerate(keyframes):
+        for name in frame.deg:
+            own.setdefault(name, []).append(index)
+    for index, frame in enumerate(keyframes):
+        for name, slope in frame.slope_deg_s.items():
+            if name not in frame.deg:
+                yield index, name, f"{name} has no angle here; give it one, or remove the slope"
+            elif slope and (reason := _slope_problem(keyframes, own[name], index, timing)):
+                yield index, name, f"{name} {reason}"
+
+
+def _slope_problem(
+    keyframes: abc.Sequence[Keyframe], own: abc.Sequence[int], index: int, timing: Timing
+) -> str:
+    """Return why a joint whose keys are `own` cannot pass one of them in motion."""
+    place = own.index(index)
+    after = keyframes[own[min(place + 1, len(own) - 1)]]
+    if timing is Timing.FASTEST:
+        return "has a slope, but timing: fastest finds the speeds itself; give times, or remove it"
+    if place in (0, len(own) - 1):
+        return "begins and ends at rest; only keys between its first and last have a slope"
+    if keyframes[index].hold_s > 0.0:
+        return "is held here, so it stands; remove hold_s, or the slope"
+    for frame in (keyframes[index], after):
+        if frame.ease not in FLOWING:
+            return (
+                f"stops here by ease: {frame.ease}; the moves to and from a key with a slope are "
+                "smooth or spline"
+            )
+    return ""
 
 
 def jumps(keyframes: abc.Sequence[Keyframe]) -> abc.Iterator[tuple[int, str]]:

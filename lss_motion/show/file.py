@@ -45,6 +45,9 @@ LAYERS_MAX: Final = 32
 SMOOTH_MAX_S: Final = 2.0
 """Chosen: at 600 deg/s², a joint that takes so long to speed up is far beyond any speed limit."""
 
+SLOPE_MAX_DEG_S: Final = 10_000.0
+"""Chosen: far beyond any servo; a slope beyond that is a typing error."""
+
 SPEED_MIN_RATIO: Final = 0.01
 SPEED_MAX_RATIO: Final = 100.0
 """Chosen: a hundredfold either way; a ratio beyond that is a typing error."""
@@ -57,6 +60,7 @@ MIRROR: Final = "Exchange left and right, as given under mirror in the robot fil
 FileName = Annotated[str, Field(min_length=1)]
 SpeedRatio = Annotated[float, Field(ge=SPEED_MIN_RATIO, le=SPEED_MAX_RATIO)]
 TimeS = Annotated[float, Field(ge=0.0, le=TIME_MAX_S)]
+SlopeDegS = Annotated[float, Field(ge=-SLOPE_MAX_DEG_S, le=SLOPE_MAX_DEG_S)]
 Colour = Literal["off", "red", "green", "blue", "yellow", "cyan", "magenta", "white"]
 Ease = Literal["smooth", "spline", "linear", "hold", "command"]
 Keep = Literal["angle", "time"]
@@ -152,6 +156,13 @@ class KeyframeEntry(FileModel, title="keyframe"):
     ease: Ease | None = Field(
         default=None,
         description="How the joints travel to this keyframe. Default: interpolation of the file.",
+    )
+    slope_deg_s: dict[Name, SlopeDegS] | None = Field(
+        default=None,
+        description="How fast joints of this keyframe pass it, in degrees per second of its times; "
+        "else the curve finds that itself. They may then go beyond their keys. For smooth and "
+        "spline; a motion that is late passes it as much slower.",
+        examples=[{"jaw": 40}],
     )
     label: Text | None = Field(
         default=None, description="Shown on screen and in plots. Default: the name of the pose."

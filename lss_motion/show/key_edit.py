@@ -135,6 +135,30 @@ class _EditedTrack:
             item.entry["deg"] = own
         else:
             item.entry.pop("deg", None)
+        if "slope_deg_s" in item.entry:
+            keyed = self.angles(item)
+            self.set_slopes(item, dict.fromkeys(item.entry["slope_deg_s"].keys() - keyed.keys()))
+
+    def set_slopes(self, item: _EditedKey, slopes: Mapping[str, float | None]) -> None:
+        """Set slopes of joints of a keyframe; None removes one: the curve finds it again."""
+        own = dict(item.entry.get("slope_deg_s", {}))
+        keyed = self.angles(item)
+        for name, slope in slopes.items():
+            if slope is None:
+                own.pop(name, None)
+            elif name not in keyed:
+                raise InputError(f"{name} has no key here")
+            else:
+                own[name] = _tidy(slope, ANGLE_DIGITS)
+        if own:
+            item.entry["slope_deg_s"] = own
+        else:
+            item.entry.pop("slope_deg_s", None)
+
+    def scale_slopes(self, item: _EditedKey, joints: Iterable[str], ratio: float) -> None:
+        """Make slopes of joints of a keyframe steeper by a ratio."""
+        own = item.entry.get("slope_deg_s", {})
+        self.set_slopes(item, {name: ratio * own[name] for name in joints if name in own})
 
     def set_values(self, item: _EditedKey, values: Mapping[str, object]) -> None:
         """Set values of a keyframe besides its angles; None removes one."""
@@ -156,10 +180,19 @@ class _EditedTrack:
             return item
         entry = {key: one for key, one in item.entry.items() if key not in ("pose", "label")}
         entry["deg"] = {name: angle for name, angle in angles.items() if name in joints}
+        slopes = entry.pop("slope_deg_s", {})
+        if own := {name: slope for name, slope in slopes.items() if name in joints}:
+            entry["slope_deg_s"] = own
         self.set_angles(item, dict.fromkeys(joints))
         made = _EditedKey(None, entry, item.was_s, item.at_s, is_edited=True)
         self.items.append(made)
         return made
+
+    def ripple(self, from_s: float, by_s: float) -> None:
+        """Move all keyframes from an instant on that are not edited."""
+        for item in self.items:
+            if item.was_s >= from_s and not item.is_edited:
+                item.at_s = round(item.at_s + by_s, TIME_DIGITS)
 
     def merged(self) -> None:
         """Let edited keys take the place of others of their joints at the same instant."""
@@ -188,6 +221,7 @@ class _EditedTrack:
             is_alike = style <= others if item.is_added else style == others
             if is_met and is_alike:
                 self.set_angles(other, item.entry.get("deg", {}))
+                self.set_slopes(other, item.entry.get("slope_deg_s", {}))
                 self.items.remove(item)
                 return
 
@@ -384,7 +418,9 @@ def scale_keys(
             if name in angles
         }
 
-    return _moved(value, keys, poses, to, turned)
+    steeper = ratio if about_s is None else 1.0 / ratio if ratio else 1.0
+    only = frozenset(about_deg) if about_s is None else None
+    return _moved(value, keys, poses, to, turned, steeper=(only, steeper))
 
 
 def mirror_keys(
@@ -408,7 +444,11 @@ def mirror_keys(
             if pairs:
                 has_image = True
                 track.without_pose(item)
+                slopes = item.entry.get("slope_deg_s", {})
                 track.set_angles(item, {**gone, **made})
+                sides = [(*pairs[name], one) for name, one in slopes.items() if name in pairs]
+                exchanged = {image: sign * one for image, sign, one in sides}
+                track.set_slopes(item, {**dict.fromkeys({*gone, *made}), **exchanged})
         found += track.edits()
     if not has_image:
         raise InputError(
@@ -425,7 +465,9 @@ def _moved(
     to: Callable[[float], float],
     turned: Callable[[Mapping[str, float]], dict[str, float]],
     ripple_s: float = 0.0,
+    steeper: tuple[frozenset[str] | None, float] = (None, 1.0),
 ) -> list[Edit]:
+    """Move keys to instants and angles; `steeper`: joints, None for all, and a ratio of slopes."""
     found: list[Edit] = []
     for track, refs in _tracks(value, keys, poses):
         moved = []
@@ -443,11 +485,10 @@ def _moved(
             names = angles.keys() if ref.joints is None else ref.joints
             if own := turned({name: angles[name] for name in angles if name in names}):
                 track.set_angles(item, own)
-        if ripple_s and moved:
-            first_s = min(item.was_s for item in moved)
-            for item in track.items:
-                if item.was_s >= first_s and not item.is_edited:
-                    item.at_s = round(item.at_s + ripple_s, TIME_DIGITS)
+            if steeper[1] != 1.0:
+                track.scale_slopes(item, names if steeper[0] is None else steeper[0], steeper[1])
+        if ripple_s:
+            track.ripple(min(item.was_s for item in moved), ripple_s)
         if min(item.at_s for item in moved) < -SAME_TIME_S:
             raise InputError("the key would come before the start")
         track.merged()
@@ -461,10 +502,11 @@ def set_keys(
     poses: Poses,
     *,
     deg: Mapping[str, float | None] = {},
+    slope_deg_s: Mapping[str, float | None] = {},
     values: Mapping[str, object] = {},
     ripple: bool = False,
 ) -> list[Edit]:
-    """Set angles and other values of keys; None removes one. `values` may have `at_s`.
+    """Set angles, slopes and other values of keys; None removes one. `values` may have `at_s`.
 
     Keyframes behind one whose `hold_s` changes keep their instants, or move with `ripple`.
     """
@@ -479,6 +521,8 @@ def set_keys(
                 item.entry.pop("pose", None)
             track.set_angles(item, deg)
             track.set_values(item, values)
+            if slope_deg_s:
+                track.set_slopes(item, slope_deg_s)
             if "deg" not in item.entry and "pose" not in item.entry:
                 track.items.remove(item)
             more_s = _hold_s(item.entry) - held_s
@@ -628,7 +672,7 @@ def _hold_s(entry: Mapping[str, Any]) -> float:
 
 def _style(entry: Mapping[str, Any]) -> set[tuple[str, str]]:
     """Return what a keyframe says besides its instant, its angles and its name."""
-    own = (*TIME_KEYS, "deg", "pose", "label")
+    own = (*TIME_KEYS, "deg", "pose", "label", "slope_deg_s")
     return {(key, repr(one)) for key, one in entry.items() if key not in own}
 
 

@@ -14,7 +14,14 @@ from msgspec.structs import replace
 from lss_motion.errors import InputError
 from lss_motion.files.texts import known_names
 from lss_motion.files.yaml_source import Mistake
-from lss_motion.show.check import SAME_TIME_S, clashes, joint_problems, jumps, loop_problem
+from lss_motion.show.check import (
+    SAME_TIME_S,
+    clashes,
+    joint_problems,
+    jumps,
+    loop_problem,
+    slope_problems,
+)
 from lss_motion.show.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
@@ -194,6 +201,7 @@ class TrackLoader:
             keyframes = self._timed(keyframes, unread)
         if self.robot is not None:
             self._check_joints(keyframes, self.robot)
+        self._check_slopes(keyframes, timing)
         loop = None if content.loop == "forever" else content.loop
         kept = self._kept(keyframes)
         marked = self._marked(keyframes)
@@ -298,6 +306,7 @@ class TrackLoader:
             weight=entry.weight,
             ease=Interpolation(entry.ease or self.content.interpolation),
             label=entry.label or entry.pose or "",
+            slope_deg_s=entry.slope_deg_s or {},
             line=self.source.line((*self.place, "keyframes", index)),
             place=(*self.place, "keyframes", index),
         )
@@ -319,6 +328,10 @@ class TrackLoader:
         for index, reason in (*jumps(timed), *clashes(timed)):
             self._note(("keyframes", index), reason)
         return timed
+
+    def _check_slopes(self, keyframes: list[Keyframe], timing: Timing) -> None:
+        for index, name, reason in slope_problems(keyframes, timing):
+            self._note(("keyframes", index, "slope_deg_s", name), f"slope_deg_s: {reason}")
 
     def _check_joints(self, keyframes: list[Keyframe], robot: Robot) -> None:
         for index, name, reason in joint_problems(keyframes, robot, is_offset=self.is_offset):
@@ -365,7 +378,8 @@ def _cue(cue: Cue, ratio: float) -> Cue:
 
 def _frame(frame: Keyframe, ratio: float) -> Keyframe:
     at_s = None if frame.at_s is None else frame.at_s / ratio
-    return replace(frame, at_s=at_s, hold_s=frame.hold_s / ratio)
+    slopes = {name: ratio * slope for name, slope in frame.slope_deg_s.items()}
+    return replace(frame, at_s=at_s, hold_s=frame.hold_s / ratio, slope_deg_s=slopes)
 
 
 def _step(step: PlaylistStep, ratio: float) -> PlaylistStep:

@@ -47,7 +47,7 @@ class Interpolation(StrEnum):
     """How a joint travels from one of its keys to the next."""
 
     SMOOTH = "smooth"
-    """C1, never beyond the keys, at rest where the direction turns."""
+    """C1, never beyond the keys, at rest where the direction turns: but for given slopes."""
     SPLINE = "spline"
     """C2; may swing beyond the keys, so the path is checked against the range."""
     LINEAR = "linear"
@@ -58,6 +58,9 @@ class Interpolation(StrEnum):
     """As the servo moves by itself on one command whose T is the time to the key; only for joints
     that keep their time. It comes to rest by its ramps later."""
 
+
+FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
+"""Between two of these a joint passes its key in motion; the others stop at keys."""
 
 LINEAR_RAMP_RATIO: Final = 0.25
 """Each ramp of a `linear` move takes this share of its duration. Chosen: the peak speed is 4/3 of
@@ -86,6 +89,8 @@ class Keyframe(Located, frozen=True, kw_only=True):
     ease: Interpolation = Interpolation.SMOOTH
     """How the named joints travel *to* this keyframe; the default of the file is applied."""
     label: str = ""
+    slope_deg_s: Mapping[str, float] = {}
+    """Joints that pass this keyframe with a speed that the author gives, in authored seconds."""
     line: int | None = None
     place: Location = ()
 

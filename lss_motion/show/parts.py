@@ -46,7 +46,12 @@ def mirrored(sequence: Sequence, images: Images) -> Sequence:
     return replace(
         sequence,
         keyframes=tuple(
-            replace(frame, deg=_exchanged(frame.deg, images)) for frame in sequence.keyframes
+            replace(
+                frame,
+                deg=_exchanged(frame.deg, images),
+                slope_deg_s=_exchanged(frame.slope_deg_s, images),
+            )
+            for frame in sequence.keyframes
         ),
         keeps_time=frozenset(images.get(name, (name, 1))[0] for name in sequence.keeps_time),
         tracks=tuple(mirrored(track, images) for track in sequence.tracks),

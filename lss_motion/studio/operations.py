@@ -143,6 +143,7 @@ def _key_edits(
                 keys,
                 poses,
                 deg=operation.deg,
+                slope_deg_s=operation.slope_deg_s,
                 values=operation.values,
                 ripple=operation.ripple,
             )

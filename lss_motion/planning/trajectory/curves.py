@@ -21,7 +21,7 @@ from lss_motion.planning.trajectory.keys import (
     least_move_s,
     rests_at,
 )
-from lss_motion.show.model import LINEAR_RAMP_RATIO, Interpolation
+from lss_motion.show.model import FLOWING, LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.show.splines import clamped_slopes, distinct, monotone_slopes, runs
 
 if TYPE_CHECKING:
@@ -46,9 +46,6 @@ DELAY_SHARE_MAX: Final = 0.4
 """A key moves along the path by at most this share of the way to the next, which may move as far
 towards it."""
 
-_FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
-"""Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""
-
 
 class JointKeys(Struct, frozen=True):
     """The keys of one joint along the path: where each is reached and left, its angle and its ease.
@@ -61,6 +58,8 @@ class JointKeys(Struct, frozen=True):
     deg: FloatArray
     is_held: NDArray[np.bool_]
     eases: tuple[Interpolation, ...]
+    slopes_deg_s: FloatArray
+    """With which the author lets the joint pass; NaN: the curve finds it."""
 
     @property
     def lengths_s(self) -> FloatArray:
@@ -99,6 +98,7 @@ def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
         np.asarray(np.round(angles_deg, ANGLE_DECIMALS), dtype=np.float64),
         np.array(is_held),
         tuple(key.ease for key in kept),
+        np.array([key.slope_deg_s for key in kept]),
     )
 
 
@@ -121,7 +121,7 @@ def with_longer_rests(
     """
     if half_s <= 0.0:
         return keys
-    is_rest = rests_at(keys.deg, keys.is_held, keys.eases)
+    is_rest = rests_at(keys.deg, keys.is_held, keys.eases, keys.slopes_deg_s)
     is_rest[0] &= is_from_rest
     is_rest[-1] &= is_to_rest
     is_move = np.abs(np.diff(keys.deg)) > SAME_ANGLE_DEG
@@ -146,8 +146,8 @@ def seam_slope_deg_s(keys: JointKeys, length_s: float) -> float:
         or keys.reached_s[0] > 0.0
         or keys.reached_s[-1] < length_s
         or keys.is_held[[0, -1]].any()
-        or keys.eases[1] not in _FLOWING
-        or keys.eases[-1] not in _FLOWING
+        or keys.eases[1] not in FLOWING
+        or keys.eases[-1] not in FLOWING
     ):
         return 0.0
     lengths_s, secants = keys.lengths_s, keys.secants_deg_s
@@ -202,7 +202,7 @@ def _pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Return starts and cubics of one joint's pieces, in order, from 0 to `length_s`."""
     slopes = _slopes(keys, start_slope, end_slope)
-    is_flowing = keys.are(*_FLOWING)
+    is_flowing = keys.are(*FLOWING)
     commands = commands_of(keys, joint, length_s)
     is_linear = keys.are(Interpolation.LINEAR, Interpolation.COMMAND)
     is_linear[commands.covered] = False
@@ -237,16 +237,22 @@ def commands_of(keys: JointKeys, joint: Joint, end_s: float) -> CarriedOut:
 
 
 def _slopes(keys: JointKeys, start_slope: float, end_slope: float) -> FloatArray:
-    """Return the slope at each key: 0 at holds, at corners and where the direction turns."""
+    """Return the slope at each key: 0 at holds, at corners and where the direction turns.
+
+    A slope that the author gives is taken where the joint passes the key.
+    """
     slopes = np.zeros(len(keys.deg))
     if len(slopes) < 2:
         return slopes
-    is_flowing = keys.are(*_FLOWING)
+    is_flowing = keys.are(*FLOWING)
     is_passed = ~keys.is_held[1:-1] & is_flowing[1:] & is_flowing[:-1]
-    slopes[1:-1] = np.where(is_passed, monotone_slopes(keys.lengths_s, keys.secants_deg_s), 0.0)
+    found = monotone_slopes(keys.lengths_s, keys.secants_deg_s)
+    given = keys.slopes_deg_s[1:-1]
+    is_found = np.isnan(given)
+    slopes[1:-1] = np.where(is_passed, np.where(is_found, found, given), 0.0)
     slopes[0], slopes[-1] = start_slope, end_slope
     is_spline = keys.are(Interpolation.SPLINE)
-    inner = is_spline[1:] & is_spline[:-1] & is_passed
+    inner = is_spline[1:] & is_spline[:-1] & is_passed & is_found
     for first, last in runs(inner):
         knots = slice(first, last + 2)
         slopes[knots] = clamped_slopes(

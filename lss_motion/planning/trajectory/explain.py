@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from lss_motion.errors import PlanningError
+from lss_motion.planning.trajectory.curves import out_of_range
 from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
 from lss_motion.planning.trajectory.model import Mark, SlowSpan
 from lss_motion.show.splines import distinct, runs
@@ -33,6 +34,9 @@ ANCHOR_TOLERANCE_S: Final = 0.001
 
 KEY_S: Final = 1e-8
 """A grid point that is nearer to a key is at it: rounding."""
+
+BEYOND_MIN_DEG: Final = 0.05
+"""A joint that goes beyond its keys by less is not reported: about half a unit of a servo."""
 
 STRETCH_MIN_S: Final = 1e-5
 """Spans slowed by less are not reported: a hundredth of a millisecond."""
@@ -158,10 +162,12 @@ def marks(
     is_timed: bool,
     kept: frozenset[str] = frozenset(),
     path: Path | None = None,
+    joints: Sequence[str] = (),
 ) -> tuple[Mark, ...]:
     """Return the mark of each keyframe: its authored time and when the first pass reaches it.
 
-    Without `path`, the motion is never late and rests as long as the author wants.
+    Without `path`, the motion is never late and rests as long as the author wants. `joints` has the
+    order of its columns.
     """
     planned_s = clock.times_of(spacing.reached_s).tolist()
     held_s = (clock.times_of(spacing.left_s) - planned_s).tolist()
@@ -183,11 +189,34 @@ def marks(
             is_kept=bool(keyframe.deg) and kept.issuperset(keyframe.deg),
             is_exact=keyframe.is_exact,
             weight=keyframe.weight,
+            beyond_deg={} if path is None else _beyond(keyframes, index, spacing, path, joints),
         )
-        for keyframe, at_s, kept_s, (rest_s, rested_s) in zip(
-            keyframes, planned_s, held_s, rests.tolist(), strict=True
+        for index, (keyframe, at_s, kept_s, (rest_s, rested_s)) in enumerate(
+            zip(keyframes, planned_s, held_s, rests.tolist(), strict=True)
         )
     )
+
+
+def _beyond(
+    keyframes: Sequence[Keyframe],
+    index: int,
+    spacing: Spacing,
+    path: Path,
+    joints: Sequence[str],
+) -> dict[str, float]:
+    """Return how far joints with a slope at a keyframe go beyond it and the keys around it."""
+    found = {}
+    for name in keyframes[index].slope_deg_s:
+        own = [k for k, frame in enumerate(keyframes) if name in frame.deg]
+        place = own.index(index)
+        around = own[max(place - 1, 0) : place + 2]
+        degs = [keyframes[k].deg[name] for k in around]
+        from_s, to_s = spacing.left_s[around[0]], spacing.reached_s[around[-1]]
+        between = path.between(float(from_s), float(to_s))
+        out = out_of_range(between, joints.index(name), (min(degs), max(degs)))
+        if (most_deg := max((deg for _, deg in out), default=0.0)) > BEYOND_MIN_DEG:
+            found[name] = most_deg
+    return found
 
 
 def _rests(spacing: Spacing, clock: PathClock, path: Path) -> FloatArray:

@@ -81,6 +81,7 @@ def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> st
                     str(frame.ease),
                     frame.label,
                     [(name, float(angle_deg)) for name, angle_deg in frame.deg.items()],
+                    sorted(frame.slope_deg_s.items()),
                 )
             ).encode()
         )

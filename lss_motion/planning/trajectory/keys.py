@@ -64,6 +64,8 @@ class Key(Struct, frozen=True, kw_only=True):
     deg: float
     hold_s: float
     ease: Interpolation
+    slope_deg_s: float = math.nan
+    """The slope with which the author lets the joint pass; NaN: the curve finds it."""
     is_stop: bool = False
     """The joint comes to rest here, although the author does not hold it."""
     delay_s: float = 0.0
@@ -92,7 +94,13 @@ def keys_by_joint(sequence: Sequence, robot: Robot) -> dict[str, tuple[Key, ...]
     keys: dict[str, list[Key]] = {}
     for index, keyframe in enumerate(sequence.keyframes):
         for joint, deg in keyframe.deg.items():
-            key = Key(index=index, deg=deg, hold_s=keyframe.hold_s, ease=keyframe.ease)
+            key = Key(
+                index=index,
+                deg=deg,
+                hold_s=keyframe.hold_s,
+                ease=keyframe.ease,
+                slope_deg_s=keyframe.slope_deg_s.get(joint, math.nan),
+            )
             own = keys.setdefault(joint, [])
             if own and has_times and (problem := _clash(own[-1], key, joint, sequence)):
                 problems.append(problem)
@@ -272,16 +280,30 @@ NO_MARGINS: Final = Margins()
 
 
 def rests_at(
-    deg: FloatArray, is_held: NDArray[np.bool_], eases: tuple[Interpolation, ...]
+    deg: FloatArray,
+    is_held: NDArray[np.bool_],
+    eases: tuple[Interpolation, ...],
+    slopes_deg_s: FloatArray,
 ) -> NDArray[np.bool_]:
     """Return for each key of a joint whether the joint rests there or stops at a corner."""
     is_rest = is_held.copy()
     is_rest[[0, -1]] = True
+    is_passed = np.nan_to_num(slopes_deg_s) != 0.0
     is_still = np.abs(np.diff(deg)) <= SAME_ANGLE_DEG
+    is_still &= ~(is_passed[1:] | is_passed[:-1])
     is_still |= np.array([ease in STOPPING for ease in eases[1:]], dtype=np.bool_)
     is_rest[1:] |= is_still
     is_rest[:-1] |= is_still
     return is_rest
+
+
+def _rests(own: tuple[Key, ...]) -> NDArray[np.bool_]:
+    return rests_at(
+        np.array([key.deg for key in own]),
+        np.array([key.is_held for key in own]),
+        tuple(key.ease for key in own),
+        np.array([key.slope_deg_s for key in own]),
+    )
 
 
 def spacing_of(
@@ -344,8 +366,7 @@ def _all_rest(keys: Mapping[str, tuple[Key, ...]], count: int) -> NDArray[np.boo
     """Return for each keyframe whether no joint moves there."""
     is_rest = np.ones(count, dtype=np.bool_)
     for own in keys.values():
-        deg = np.array([key.deg for key in own])
-        rests = rests_at(deg, np.array([key.is_held for key in own]), tuple(k.ease for k in own))
+        rests = _rests(own)
         for key, rests_here in zip(own, rests.tolist(), strict=True):
             is_rest[key.index] &= rests_here
         for before, after in itertools.pairwise(own):
@@ -414,11 +435,7 @@ def _needs(
             passing_s = PASSING_RATIO * np.abs(moves_deg) / joint.speed_max_deg_s
             least_s = np.minimum(HOPELESS_RATIO * least_s, passing_s)
         if half_s := margins.half_s.get(name, 0.0):
-            is_rest = rests_at(
-                np.array([key.deg for key in own]),
-                np.array([key.is_held for key in own]),
-                tuple(key.ease for key in own),
-            )
+            is_rest = _rests(own)
             rests_s = np.where(is_rest, half_s, 0.0)
             least_s = np.where(least_s > 0.0, least_s + rests_s[1:] + rests_s[:-1], least_s)
         for before, after, seconds in zip(own, own[1:], least_s.tolist(), strict=False):

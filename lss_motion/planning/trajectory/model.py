@@ -4,10 +4,11 @@ A pass is a path and a clock that follows it (`PathMotion`), a part of another p
 or made of several trajectories (`tracks.ParallelPass`, `playlist.PlayListPass`).
 """
 
-# ruff: noqa: TC001 - public: `help` looks up the annotations.
+# ruff: noqa: TC001, TC003 - public: `help` looks up the annotations.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final, Literal, Protocol
 
 import numpy as np
@@ -167,6 +168,8 @@ class Mark(Struct, frozen=True, kw_only=True):
     weight: float = 1.0
     place: str = ""
     """Name of the file and line of the keyframe, such as `wave.yaml:6`; empty if not known."""
+    beyond_deg: Mapping[str, float] = {}
+    """How far joints go beyond this key and those around it, by the slope that the author gives."""
 
     def later(self, by_s: float) -> Mark:
         """Return the mark with both times moved by `by_s`."""

@@ -566,6 +566,7 @@ def scaled(sequence: Show, wanted_s: float) -> Show:
                 frame,
                 at_s=None if frame.at_s is None else frame.at_s * ratio,
                 hold_s=frame.hold_s * ratio,
+                slope_deg_s={name: one / ratio for name, one in frame.slope_deg_s.items()},
             )
             for frame in sequence.keyframes
         ),

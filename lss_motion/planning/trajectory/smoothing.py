@@ -449,7 +449,8 @@ def _passed_keys(sequence: Show, robot: Robot) -> dict[str, list[_PassedKey]]:
         ]
         deg = np.array([key.deg for key in own])
         is_held = np.array([key.hold_s > 0.0 for key in own])
-        is_rest = rests_at(deg, is_held, tuple(key.ease for key in own))
+        slopes = np.array([key.slope_deg_s for key in own])
+        is_rest = rests_at(deg, is_held, tuple(key.ease for key in own), slopes)
         signs = np.sign(np.diff(deg))
         turns = np.zeros(len(own), dtype=np.int64)
         turns[1:-1] = (signs[:-1] - signs[1:]) / 2

@@ -83,9 +83,11 @@ def verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajectory
         later = [index for index, mark in enumerate(trajectory.marks) if mark.planned_s >= passed_s]
         keyframe = sequence.keyframes[min(later, default=len(sequence.keyframes) - 1)]
         place = explain.place_of(sequence, keyframe)
+        is_sloped = any(frame.slope_deg_s for frame in sequence.keyframes)
+        slope = " or a smaller slope_deg_s" if is_sloped else ""
         raise PlanningError(
             f"{place}on the way to keyframe {named(keyframe)}: {error.reason}. "
-            "Move the keyframe, or choose another ease",
+            f"Move the keyframe, or choose another ease{slope}",
             joint=error.joint,
             time_s=error.time_s,
         ) from error
@@ -169,7 +171,12 @@ def _assembled(
     if layout.is_timed:
         explain.check_anchors(sequence, spacing, clock, layout.authored, stretched)
     marks = explain.marks(
-        sequence.keyframes, spacing, clock, is_timed=layout.is_timed, path=task.path
+        sequence.keyframes,
+        spacing,
+        clock,
+        is_timed=layout.is_timed,
+        path=task.path,
+        joints=tuple(layout.keys),
     )
     motions = [
         PathMotion(path=path, clock=clock.cut(start_s, start_s + path.length_s))

@@ -237,7 +237,12 @@ def _between(layout: Layout, whole: Trajectory, start: _Boundary, end: _Boundary
     clock = replace(clock, path_s=clock.path_s + path.knots_s[0])
     to_s = start.whole_s + trajectory.duration_s
     marks = explain.marks(
-        layout.sequence.keyframes, layout.spacing, clock, is_timed=True, path=layout.paths[0]
+        layout.sequence.keyframes,
+        layout.spacing,
+        clock,
+        is_timed=True,
+        path=layout.paths[0],
+        joints=tuple(layout.keys),
     )
     reached_s = layout.spacing.reached_s.tolist()
     ends = ((0.0, start.whole_s), (trajectory.duration_s, end.whole_s))

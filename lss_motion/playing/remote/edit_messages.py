@@ -91,10 +91,13 @@ class KeyMirror(EditOperation, frozen=True, kw_only=True, tag="key.mirror"):
 
 
 class KeySet(EditOperation, frozen=True, kw_only=True, tag="key.set"):
-    """Set angles and values of keys (`at_s`, `ease`, `hold_s`, `label`, …); null removes one."""
+    """Set angles, slopes and values (`at_s`, `ease`, `hold_s`, `label`, …); null removes one."""
 
     keys: Keys
     deg: Annotated[dict[Name, Angle | None], Meta(max_length=100)] = field(default_factory=dict)
+    slope_deg_s: Annotated[dict[Name, Angle | None], Meta(max_length=100)] = field(
+        default_factory=dict
+    )
     values: dict[Name, Any] = field(default_factory=dict)
     ripple: bool = False
 

@@ -171,6 +171,44 @@ def test_keys_are_scaled_in_time_or_in_angle():
     assert lines_changed(SHOW, after)[1] == ["  - {at_s: 2.5, deg: {a: 5, b: 6}}"]
 
 
+def test_slopes_follow_what_is_done_to_their_keys():
+    text = SHOW.replace(
+        "{a: 5, b: 6}}", "{a: 5, b: 6}, slope_deg_s: {a: 20}}\n  - {at_s: 3, deg: {a: 0, b: 0}}"
+    )
+    last = "  - {at_s: 2.00, deg: {a: 5, b: 6}, slope_deg_s: {a: 20}}"
+    assert last in text
+
+    def line(op, **fields):
+        return lines_changed(text, text_after(op, text, **fields))[1]
+
+    assert line("key.set", keys=[key(3)], slope_deg_s={"a": None, "b": -7.5}) == [
+        "  - {at_s: 2.00, deg: {a: 5, b: 6}, slope_deg_s: {b: -7.5}}"
+    ]
+    assert line("key.set", keys=[key(3)], slope_deg_s={"a": None}) == [
+        "  - {at_s: 2.00, deg: {a: 5, b: 6}}"
+    ]
+    assert line("key.delete", keys=[key(3, "a")]) == ["  - {at_s: 2.00, deg: {b: 6}}"]
+    assert line("key.move", keys=[key(3, "a")], by_s=0.5) == [
+        "  - {at_s: 2.00, deg: {b: 6}}",
+        "  - {at_s: 2.5, deg: {a: 5}, slope_deg_s: {a: 20}}",
+    ]
+    assert line("key.mirror", keys=[key(3)]) == [
+        "  - {at_s: 2.00, deg: {a: -6, b: -5}, slope_deg_s: {b: -20}}"
+    ]
+    assert line("key.scale", keys=[key(3)], ratio=0.5, about_deg={"a": 0}) == [
+        "  - {at_s: 2.00, deg: {a: 2.5, b: 6}, slope_deg_s: {a: 10}}"
+    ]
+    assert line("key.scale", keys=[key(3)], ratio=2, about_s=1.5) == [
+        "  - {at_s: 2.5, deg: {a: 5, b: 6}, slope_deg_s: {a: 10}}"
+    ]
+    new = {"file": "w", "place": ["keyframes"], "at_s": 2, "deg": {"a": 1}}
+    assert line("key.add", keys=[new | {"values": {"slope_deg_s": {"a": 3}}}]) == [
+        "  - {at_s: 2.00, deg: {a: 1, b: 6}, slope_deg_s: {a: 3}}"
+    ]
+    with pytest.raises(InputError, match="x has no key here"):
+        line("key.set", keys=[key(3)], slope_deg_s={"x": 1})
+
+
 def test_keys_on_beats_stay_on_beats():
     text = (
         "sequence: s\nbeats: [0.5, 1, 1.5, 2]\nkeyframes:\n- {at_s: 0, deg: {a: 1}}\n"
