@@ -215,7 +215,7 @@ def _announce(
     )
     from lss_motion.playing.player import handshake
 
-    answers, warnings = connection.examined(joints, robot)
+    answers, warnings = connection.examined(joints, robot.servo_robot)
     for text in warnings:
         say(f"warning: {text}", sys.stderr)
     for joint in joints:

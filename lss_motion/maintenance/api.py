@@ -34,6 +34,7 @@ from lss_motion.playing.player.handshake import Item
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import RESET_S, Family
 from lss_motion.protocol.framing import Command
+from lss_motion.robot.mechanisms import careful_servo
 from lss_motion.robot.model import Bus, Robot
 
 if TYPE_CHECKING:
@@ -102,15 +103,39 @@ def _joint(robot: Robot, name: str) -> Joint:
     return robot.joints[name]
 
 
+def require_own_servo(robot: Robot, name: str, what: str) -> None:
+    """Raise `InputError` for a joint that is not its servo, and so has no zero of its own."""
+    if any(name in one.joints for one in robot.mechanisms.values()):
+        raise InputError(
+            f"{what}: a ratio, a linkage or a mechanism stands between joint {name!r} and its "
+            f"servo; measure it as the guide head-neck.md says",
+            path=robot.path,
+        )
+
+
 def measurable(robot: Robot, name: str) -> Joint:
-    """Return the joint as it is measured, with the timed drive; raises `InputError`."""
+    """Return the servo of a joint as it is measured, with the timed drive; raises `InputError`.
+
+    Behind a ratio or a linkage it is the servo, in degrees of an ideal one; it stays within what
+    range, speed and acceleration of the joint leave it everywhere.
+    """
     if _joint(robot, name).model.family is Family.IO2:
         raise InputError(
             f"joint {name!r} is an RC servo of an LSS-2IO: it reports no position and "
             f"cannot be measured",
             path=robot.path,
         )
-    return replace(robot.joints[name], drive="timed")
+    mechanism = next((one for one in robot.mechanisms.values() if name in one.joints), None)
+    if mechanism is None:
+        return replace(robot.joints[name], drive="timed")
+    if mechanism.servos != (name,):
+        raise InputError(
+            f"joint {name!r} is moved by several servos ({', '.join(mechanism.servos)}), which "
+            f"must not move alone; take the rods off, and measure each by a robot file in which it "
+            f"is a joint",
+            path=robot.path,
+        )
+    return replace(careful_servo(mechanism, robot), drive="timed")
 
 
 def make_experiment(
@@ -121,6 +146,7 @@ def make_experiment(
     from lss_motion.maintenance.identify.trials import make_window
     from lss_motion.playing.player import handshake
 
+    robot = robot.servo_robot
     answers, _ = connection.examined([joint], robot)
     standing_deg = handshake.reported(joint, answers, "QD")
     assert standing_deg is not None, "`examined` raises without it"
@@ -156,6 +182,7 @@ def recordings_of(log: Log, robot: Robot) -> dict[str, ShowRecording]:
         for line in log.lines
         if isinstance(line, SentLine | ReceivedLine)
     )
+    robot.require_servos("identify from the log of a show")
     found = recordings(logged, robot)
     if not found:
         raise InputError(f"holds no move of robot {robot.name!r}", path=log.path)
@@ -171,6 +198,8 @@ def calibrate(live: Live, pose_deg: Mapping[str, float]) -> dict[str, float]:
     from lss_motion.maintenance.settings import frame_of
 
     joints = {name: _joint(live.robot, name) for name in pose_deg}
+    for name in joints:
+        require_own_servo(live.robot, name, "calibrate")
     standing_deg = live.read()
     zeros: dict[str, float] = {}
     for name, angle_deg in pose_deg.items():

@@ -13,7 +13,6 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LssMotionError, PlaybackError
 from lss_motion.files.texts import known_names
@@ -245,6 +244,9 @@ class ServoTasks(Struct, frozen=True):
         return joint
 
     def calibration(self, robot: Robot, joint: Joint) -> Calibration:
+        from lss_motion.maintenance.api import require_own_servo
+
+        require_own_servo(robot, joint.name, "calibrate")
         return Calibration(robot, joint)
 
     def measured(
@@ -254,14 +256,15 @@ class ServoTasks(Struct, frozen=True):
 
         None: the joint cannot be measured, and the client was told why. The joint holds afterwards.
         """
+        from lss_motion.maintenance.api import measurable
         from lss_motion.maintenance.identify.joint_run import Experiment
         from lss_motion.maintenance.identify.trials import SPAN_DEG, make_window
         from lss_motion.playing.player import handshake
         from lss_motion.playing.runner import run
 
-        # The response is that of EM1.
-        joint = replace(self.joint(robot, name), drive="timed")
         try:
+            joint = measurable(robot, self.joint(robot, name).name)
+            robot = robot.servo_robot
             answers, _ = connection.examined([joint], robot)
             standing_deg = handshake.reported(joint, answers, "QD")
             assert standing_deg is not None, "`examined` raises without it"

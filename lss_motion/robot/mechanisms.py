@@ -471,6 +471,25 @@ def needed_limits(mechanism: Mechanism, joints: Sequence[Joint]) -> list[tuple[f
     return list(zip(speeds.tolist(), accels.tolist(), strict=True))
 
 
+def careful_servo(mechanism: Mechanism, robot: Robot) -> Joint:
+    """Return the only servo of a joint with limits that keep those of the joint everywhere."""
+    joint, servo = robot.joints[mechanism.joints[0]], robot.servos[mechanism.servos[0]]
+    places, g = places_of([joint]), mechanism.transmission
+    slope = float(np.abs(g.slopes(places)).min())
+    bend = float(np.abs(g.bends(places, np.full(places.shape, joint.speed_max_deg_s))).max())
+    accel = slope * joint.accel_max_deg_s2
+    # What the bends of a linkage take of the acceleration may be half of it.
+    share = min(1.0, math.sqrt(0.5 * accel / bend)) if bend else 1.0
+    ((low, high),) = reach_deg(mechanism, [joint])
+    return replace(
+        servo,
+        position_min_deg=max(servo.position_min_deg, low),
+        position_max_deg=min(servo.position_max_deg, high),
+        speed_max_deg_s=min(servo.speed_max_deg_s, share * slope * joint.speed_max_deg_s),
+        accel_max_deg_s2=min(servo.accel_max_deg_s2, accel - bend * share**2),
+    )
+
+
 def scaled_joint(mechanism: Mechanism, joint: Joint, servos: Iterable[Joint]) -> Joint:
     """Return the joint of fixed ratios with the limits that its servos leave it."""
     slopes = np.abs(mechanism.transmission.slopes(np.zeros((1, 1))))[0, :, 0].tolist()

@@ -43,15 +43,21 @@ def write_response(
         path, changed, ("joints", joint_name), f"{joint_name} identified", comments
     )
     robot = load_robot(path)
-    joint = robot.joints[joint_name]
+    servo = robot.servo_robot.joints[joint_name]
 
     def expected(made: Robot) -> Robot:
         measured = replace(
-            joint,
-            response=replace(joint.response, **values),
-            accel_max_deg_s2=made.joints[joint_name].accel_max_deg_s2,  # Depends on the ramps.
+            servo,
+            response=replace(servo.response, **values),
+            # Depends on the ramps.
+            accel_max_deg_s2=made.servo_robot.joints[joint_name].accel_max_deg_s2,
         )
-        return replace(robot, joints={**robot.joints, joint_name: measured})
+        if not robot.servos:
+            return replace(robot, joints={**robot.joints, joint_name: measured})
+        servos = {**robot.servos, joint_name: measured}
+        is_behind = any(joint_name in one.servos for one in robot.mechanisms.values())
+        joint = made.joints[joint_name] if is_behind else measured
+        return replace(robot, joints={**robot.joints, joint_name: joint}, servos=servos)
 
     text = ", ".join(f"{key}: {value}" for key, value in values.items())
     _replace(
@@ -94,7 +100,7 @@ def write_frames(
     """
     text, mark = _text_of(path)
     robot = load_robot(path)
-    joints = dict(robot.joints)
+    joints, servos = dict(robot.joints), dict(robot.servos)
     for name, (zero_deg, direction) in frames.items():
         joint = joints[name]
         values: dict[str, float] = {}
@@ -108,12 +114,14 @@ def write_frames(
         joints[name] = replace(
             joint, zero_deg=zero_deg, direction=direction, stored={**joint.stored, **own}
         )
+        if name in servos:
+            servos[name] = joints[name]
     by_hand = "; ".join(f"{n}: zero_deg {z:g}, direction {d}" for n, (z, d) in frames.items())
     _replace(
         mark + text.encode("utf-8"),
         path,
         source=path,
-        expected=lambda _: replace(robot, joints=joints),
+        expected=lambda _: replace(robot, joints=joints, servos=servos),
         by_hand=f"set {by_hand}",
     )
 

@@ -22,6 +22,7 @@ from lss_motion.playing.live_end import LiveSession
 from lss_motion.playing.remote import schema as m
 from lss_motion.playing.runner import run as run_loop
 from lss_motion.robot.load import load_robot
+from lss_motion.robot.write import write_frames
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.hand import HandMotion
 from lss_motion.system.clock import VirtualClock
@@ -267,9 +268,6 @@ def test_what_a_hand_showed_is_recorded_in_joints(head):
         assert np.abs(off[20:]).max() < 0.15, name
 
 
-RC = {"left_lid": 55.0, "right_lid": 55.0, "eye_yaw": 30.0}
-
-
 def test_rc_servos_jog_and_stand_in_poses(tmp_path):
     """Their board reports what was sent last; they are led there, since they would jump."""
     path = tmp_path / "head.yaml"
@@ -326,3 +324,59 @@ def test_calibrate_names_what_it_cannot_measure(tmp_path, capsys):
     assert "leave them out with --joints" in capsys.readouterr().err
     assert main(["calibrate", str(path), "--joints", "tilt"]) == 2
     assert "tilt, roll: a ratio, a linkage or a mechanism" in capsys.readouterr().err
+
+
+def test_identify_measures_the_servo_of_a_linkage_within_the_limits_of_the_joint(
+    tmp_path, monkeypatch, capsys
+):
+    from lss_motion.playing import connection as module
+
+    robot = written(tmp_path)
+    opened, real = [], module.Connection.simulate
+
+    def simulate(self, *arguments, **options):
+        real(self, *arguments, **options)
+        opened.append(self)
+
+    monkeypatch.setattr(module.Connection, "simulate", simulate)
+    path = tmp_path / "head.yaml"
+    assert main(["identify", "jaw", "--robot", str(path), "--virtual", "--yes"]) == 0, (
+        capsys.readouterr().err
+    )
+    written_text = path.read_text(encoding="utf-8")
+    assert "response" in written_text
+    assert load_robot(path).servos["jaw"].response.lag_s is not None
+    bus = opened[0].simulated["main"]
+    horn_deg = bus.horn_deg(np.arange(0, opened[0].clock.now_ns(), 1_000_000))
+    jaw = joints_of(horn_deg)["jaw"]
+    joint = robot.joints["jaw"]
+    assert np.ptp(jaw) > 3.0
+    assert jaw.min() > joint.position_min_deg - 0.3
+    assert jaw.max() < joint.position_max_deg + 0.3
+    assert np.abs(np.gradient(jaw, 0.001)).max() < 1.05 * joint.speed_max_deg_s
+    for name in ("tilt", "arm", "turret"):
+        assert np.abs(joints_of(horn_deg)[name]).max() < 0.2, name
+    assert main(["identify", "tilt", "--robot", str(path), "--virtual", "--yes"]) == 2
+    assert "neck.left, neck.right" in capsys.readouterr().err
+
+
+def test_guided_tasks_refuse_what_has_no_zero_of_its_own(head):
+    client, _, _, _ = session(
+        head,
+        (0.2, m.Maintain(id=1, what="calibrate", joint="jaw")),
+        (0.6, m.Maintain(id=2, what="identify", joint="arm")),
+        (6.0, m.Stop()),
+    )
+    assert "stands between joint 'jaw'" in client.of(m.Refused)[0].text
+    failed = [one for one in client.of(m.MaintenanceChanged) if one.state == "failed"]
+    assert "shoulder.front, shoulder.back" in failed[0].step
+
+
+def test_a_joint_that_is_its_servo_is_calibrated_beside_mechanisms(tmp_path):
+    """The zero and the direction of such a joint are written, and the file stays as it is."""
+    text = HEAD.replace("  tilt: {", "  ear: {id: 20, range_deg: [-40, 40]}\n  tilt: {", 1)
+    path = written(tmp_path, text).path
+    write_frames(path, {"ear": (12.5, -1)}, {})
+    servo = load_robot(path).servos["ear"]
+    assert (servo.zero_deg, servo.direction) == (12.5, -1)
+    assert path.read_text(encoding="utf-8").count("\n") == text.count("\n")
