@@ -248,6 +248,7 @@ class StageRun:
         """Whether the present show follows the timecode; and whether it is to be left, as soon as
         the run has recovered."""
         self._records = Records(stage, self.wall, self._write)
+        self.director.cron.begin(self.wall())
         self._must_connect = True
         self._is_relaxing = self._is_over = False
         self._measured_ns = self._sampled_ns = 0

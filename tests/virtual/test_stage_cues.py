@@ -267,6 +267,14 @@ def test_a_missing_port_is_waited_for(folder, monkeypatch):
     assert isinstance(run.play().error, BusError)
 
 
+def test_a_cue_at_a_time_of_day_says_when_it_comes_before_anything_has_happened(folder):
+    strikes = "  - {cue: strikes, on: {time: '0 * * * *'}, play: wink, start: add}\n"
+    (folder / "stage.yaml").write_text(STAGE + strikes)
+    options = Options(is_virtual=True, begins=BEGINS)
+    run = StageRun(plan_stage(load_stage(folder / "stage.yaml")), options)
+    assert run.state_of()["cues"][-1]["when"] == "next 19:00"
+
+
 def test_a_hot_servo_is_remembered_when_another_show_begins(folder):
     """A show that has just begun has not measured all servos: that ends no rest."""
     hot = [Fault(kind=FaultKind.HOT, servo_id=2, at_s=4.0, temperature_c=72.0)]

@@ -88,6 +88,7 @@ class ConductedStage:
             seen=seen,
         )
         self._records = Records(stage, wall, write)
+        self.director.cron.begin(wall())
         self._order: orders.PlayOrder | None = None
         """The show that plays, or is about to."""
         self._plays_first = plays_first

@@ -1,5 +1,6 @@
 """The director of a stage with figures: cues from any figure, one show at a time on all of them."""
 
+import re
 from types import SimpleNamespace
 
 import msgspec
@@ -95,6 +96,12 @@ def begun(folder, text, timecode=None, show_s=LONG_S):
     return SimpleNamespace(
         world=world, run=run, until=until, playing=playing, texts=texts, conductor=world.conductor
     )
+
+
+def test_a_cue_at_a_time_of_day_says_when_it_comes_before_anything_has_happened(tmp_path):
+    strikes = '  - {cue: strikes, on: {time: "0 * * * *"}, play: hello, start: queue}\nlisten:'
+    run = begun(tmp_path, STAGE.replace("listen:", strikes)).run
+    assert re.fullmatch(r"next \d\d:00", run.state_of()["cues"][-1]["when"])
 
 
 @pytest.fixture
