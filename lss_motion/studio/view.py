@@ -8,7 +8,6 @@ little-endian arrays (`view_curves.packed`).
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import defaultdict
 from pathlib import Path
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.shows import Show
-    from lss_motion.planning.trajectory.model import Mark, Pass, Trajectory
+    from lss_motion.planning.trajectory.model import Mark, Pass, PathClock, Trajectory
     from lss_motion.robot.model import Robot
     from lss_motion.show.model import Cue, Keyframe, Layer, Sequence
 
@@ -233,7 +232,7 @@ def lanes_of(
     for lane, keyed in lanes.items():
         # The instant at which a repeated part ends is in the show twice, and in the view once.
         different = {
-            (round(key["at_s"], 6), id(frame), *key["deg"]): key
+            (round(key["at_s"], 6), frame.place, *key["deg"]): key
             for frame, mark, start_s in keyed
             for key in _keys(frame, mark, start_s, window)
             if key["at_s"] is not None
@@ -288,15 +287,14 @@ def _keys(
 def _keyed(
     sequence: Sequence, trajectory: Trajectory, end_s: float
 ) -> Iterator[tuple[LaneOf, list[tuple[Keyframe, Mark, float]]]]:
-    """Yield a lane with its keyframes: each with its mark and what is added.
+    """Yield a lane with its keyframes: each with its mark and what is added to its times.
 
-    Keyframes and marks of one track are in the same order; those below layers are found by label
-    and authored time, since the marks of a sum are mixed.
+    Keyframes and marks of one track are in the same order.
     """
     if sequence.layers:
-        yield from _layered_keys(sequence, trajectory, end_s)
+        yield from _summed_keys(sequence, trajectory)
     elif sequence.play:
-        yield from _played_keys(sequence, trajectory, end_s)
+        yield from _played_keys(trajectory, end_s)
     elif sequence.tracks:
         own = [replace(sequence, tracks=())] if sequence.keyframes else []
         parts = trajectory.first.parts
@@ -324,16 +322,17 @@ def _in_passes(
 
 
 def _played_keys(
-    sequence: Sequence, trajectory: Trajectory, end_s: float
+    trajectory: Trajectory, end_s: float
 ) -> Iterator[tuple[LaneOf, list[tuple[Keyframe, Mark, float]]]]:
     """Yield the keyframes of the parts of a play list, each where it is played."""
-    played = {step.sequence.name: step.sequence for step in sequence.play if step.sequence}
     for pass_s in _pass_starts(trajectory, end_s):
         whole = trajectory.first
         assert isinstance(whole, PlayListPass)
-        for part, from_s in zip(whole.parts, whole.starts_s.tolist(), strict=True):
-            if (own := played.get(part.name)) is None:
-                continue  # A move between two parts.
+        for part, own, from_s in zip(
+            whole.parts, whole.sequences, whole.starts_s.tolist(), strict=True
+        ):
+            if own is None:
+                continue
             for lane, keyed in _keyed(own, part, part.duration_s):
                 start_s = pass_s + from_s
                 moved = [(frame, mark, at_s + start_s) for frame, mark, at_s in keyed]
@@ -349,78 +348,48 @@ def _pass_starts(trajectory: Trajectory, end_s: float) -> Iterator[float]:
         index += 1
 
 
-def _layered_keys(
-    sequence: Sequence, trajectory: Trajectory, end_s: float
+def _summed_keys(
+    sequence: Sequence, trajectory: Trajectory
 ) -> Iterator[tuple[LaneOf, list[tuple[Keyframe, Mark, float]]]]:
-    """Yield the keyframes of a show and of its layers, each at the marks of its place in its file.
-
-    Later passes of a layer have no marks: they follow the first by the period of its keyframes.
-    """
-    sources: list[tuple[Layer | None, Sequence]] = [
-        *((None, part) for part in _leaves(replace(sequence, layers=()))),
-        *((layer, part) for layer in sequence.layers for part in _leaves(layer.sequence)),
-    ]
-    keyed: list[list[tuple[Keyframe, Mark, float]]] = [[] for _ in sources]
-    free: dict[str, list[tuple[int, Keyframe]]] = defaultdict(list)
-    for number, (_, part) in enumerate(sources):
-        for frame in part.keyframes:
-            free[_place(part, frame)].append((number, frame))
-    for mark in all_marks(trajectory, end_s):
-        found = free[mark.place]
-        own = next((one for one in found if _is_at(sources[one[0]], one[1], mark)), None)
-        own = own or next((one for one in found if sources[one[0]][0] is None), None)
-        if own is not None:
-            keyed[own[0]].append((own[1], mark, 0.0))
-            # A part that is played again, or mirrored, takes the next one.
-            found.remove(own)
-            found.append(own)
-    for (layer, part), own_keys in zip(sources, keyed, strict=True):
-        if layer is None:
-            yield LaneOf("track", part.name, part.path), own_keys
-            continue
-        lane = LaneOf("layer", part.name, part.path, layer.mode == "add")
-        yield lane, [*own_keys, *_later_passes(layer, part, own_keys, end_s)]
+    """Yield the keyframes of a show and its layers, in all passes, where the sum reaches them."""
+    clock = _clock_of(trajectory.first)
+    layers = [None, *sequence.layers]
+    for layer, own in zip(layers, trajectory.summands, strict=True):
+        part = replace(sequence, layers=()) if layer is None else layer.sequence
+        for lane, keyed in _keyed(part, own.trajectory, own.to_s - own.from_s):
+            if layer is not None:
+                lane = lane._replace(kind="layer", is_added=layer.mode == "add")  # noqa: PLW2901
+            placed = [(frame, mark.later(own.from_s + start_s)) for frame, mark, start_s in keyed]
+            yield (
+                lane,
+                [
+                    (_narrowed(frame, layer), _reached(mark, clock), 0.0)
+                    for frame, mark in placed
+                    if mark.planned_s <= own.to_s + SAME_S
+                ],
+            )
 
 
-def _place(part: Sequence, frame: Keyframe) -> str:
-    """Return the place of a keyframe, as that of its mark."""
-    return "" if part.path is None else f"{part.path.name}:{frame.line}"
+def _narrowed(frame: Keyframe, layer: Layer | None) -> Keyframe:
+    """Return a keyframe with the joints that its layer has."""
+    if layer is None:
+        return frame
+    return replace(frame, deg={name: frame.deg[name] for name in frame.deg if name in layer.joints})
 
 
-def _is_at(source: tuple[Layer | None, Sequence], frame: Keyframe, mark: Mark) -> bool:
-    """Return whether a keyframe of a layer was authored for the instant of a mark."""
-    layer, part = source
-    if layer is None or mark.authored_s is None:
-        return False
-    at_s = layer.from_s + (frame.at_s or 0.0) / part.speed_ratio
-    return abs(at_s - mark.authored_s) < SAME_S
+def _clock_of(motion: Pass) -> PathClock:
+    """Return the clock of a sum: of its joints that do not keep their time, if some do."""
+    while not isinstance(motion, PathMotion):
+        motion = motion.parts[0].first
+    return motion.clock
 
 
-def _later_passes(
-    layer: Layer, part: Sequence, first: list[tuple[Keyframe, Mark, float]], end_s: float
-) -> Iterator[tuple[Keyframe, Mark, float]]:
-    """Yield the keyframes of a layer in each of its passes after the first, up to its end."""
-    if part is not layer.sequence or part.loop == 1 or len(first) < 2:
-        return
-    period_s = first[-1][1].planned_s + first[-1][1].held_s - first[0][1].planned_s
-    until_s = min(end_s, math.inf if layer.to_s is None else layer.to_s)
-    passes = itertools.count(1) if part.loop is None else range(1, part.loop)
-    for number in passes if period_s > 0.0 else ():
-        if first[0][1].planned_s + number * period_s > until_s:
-            return
-        for frame, mark, _ in first[1:]:
-            later = mark.later(number * period_s)
-            if later.planned_s <= until_s + SAME_S:
-                yield frame, later, 0.0
-
-
-def _leaves(sequence: Sequence) -> Iterator[Sequence]:
-    """Yield the sequences with keyframes that a sequence is made of."""
-    if sequence.keyframes:
-        yield sequence
-    below = [*sequence.tracks, *(step.sequence for step in sequence.play if step.sequence)]
-    for part in below:
-        yield from _leaves(part)
+def _reached(mark: Mark, clock: PathClock) -> Mark:
+    """Return a mark of what is added up where the sum reaches and leaves it."""
+    if mark.is_kept:
+        return mark
+    ends_s = clock.times_of(np.array([mark.planned_s, mark.planned_s + mark.held_s])).tolist()
+    return replace(mark, planned_s=ends_s[0], held_s=ends_s[1] - ends_s[0])
 
 
 def _knot_keys(lanes: list[dict[str, Any]]) -> dict[str, FloatArray]:

@@ -21,7 +21,7 @@ from lss_motion.planning.trajectory.curves import Path, cubics
 from lss_motion.planning.trajectory.dues import Dues
 from lss_motion.planning.trajectory.kept_plans import kept_plan
 from lss_motion.planning.trajectory.keys import SAME_INSTANT_S
-from lss_motion.planning.trajectory.model import PathMotion, Trajectory, with_span
+from lss_motion.planning.trajectory.model import PathMotion, Summand, Trajectory, with_span
 from lss_motion.planning.trajectory.playlist import all_cues, all_marks
 from lss_motion.planning.trajectory.retime import (
     authored_clock,
@@ -106,10 +106,14 @@ def _summed(total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
     check_jumps(total, show)
     is_smooth = bool(np.isfinite(jerk_limits(show, robot, total.joints)).any())
     path = _as_cubics(total, robot, show, is_smooth=is_smooth)
+    summands = (
+        Summand(trajectory=total.base, from_s=0.0, to_s=total.duration_s),
+        *(Summand(trajectory=p.trajectory, from_s=p.from_s, to_s=p.to_s) for p in total.layers),
+    )
     try:
         if kept := time_keepers(show) & {*total.joints}:
-            return _with_kept(path, total, show, robot, kept)
-        return _slowed(path, total, show, robot)
+            return replace(_with_kept(path, total, show, robot, kept), summands=summands)
+        return replace(_slowed(path, total, show, robot), summands=summands)
     except PlanningError as error:
         if error.joint is None:
             raise

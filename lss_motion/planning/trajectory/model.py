@@ -234,6 +234,17 @@ class WaitPoint(Struct, frozen=True, kw_only=True):
     back_s: float = 0.0
 
 
+class Summand(Struct, frozen=True, kw_only=True):
+    """A trajectory that a show with layers is the sum of, from `from_s` to `to_s`.
+
+    All times are those before the sum is slowed.
+    """
+
+    trajectory: Trajectory
+    from_s: float
+    to_s: float
+
+
 class Trajectory(Struct, frozen=True, kw_only=True):
     """All passes of a sequence, from rest to rest, within the limits of the robot.
 
@@ -262,6 +273,8 @@ class Trajectory(Struct, frozen=True, kw_only=True):
     """Moves whose commands the author gives (`ease: command`), of a show that is played once."""
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
+    summands: tuple[Summand, ...] = ()
+    """Of a show with layers: the show itself and each of its layers."""
     smoothing: tuple[Smoothing, ...] = ()
     """The joints whose acceleration does not jump; the verifier checks their jerk."""
     waits: tuple[WaitPoint, ...] = ()

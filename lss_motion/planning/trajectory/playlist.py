@@ -50,11 +50,12 @@ class PlayListPass(Struct, frozen=True, kw_only=True):
     """A pass in which trajectories follow one another, each from rest to rest.
 
     `parts[k]` starts at `starts_s[k]`, where the joints are at `poses_deg[k]`; a joint that it
-    does not move stays there.
+    does not move stays there. It is the plan of `sequences[k]`; None: a move between two of them.
     """
 
     joints: tuple[str, ...]
     parts: tuple[Trajectory, ...]
+    sequences: tuple[Sequence | None, ...]
     starts_s: FloatArray
     poses_deg: FloatArray
     duration_s: float
@@ -96,11 +97,13 @@ class _StepCollector:
     plan: Callable[[Sequence, Robot], Trajectory]
     pose_deg: dict[str, float]
     parts: list[tuple[float, Trajectory, dict[str, float]]]
+    sequences: list[Sequence | None]
     waits: list[WaitPoint]
     now_s: float = 0.0
 
-    def append(self, part: Trajectory) -> None:
+    def append(self, part: Trajectory, sequence: Sequence | None) -> None:
         self.parts.append((self.now_s, part, dict(self.pose_deg)))
+        self.sequences.append(sequence)
         waits = all_waits(part, part.duration_s)
         self.waits += [replace(point, at_s=point.at_s + self.now_s) for point in waits]
         end_deg = part.sample(np.array([part.duration_s]))[0].tolist()
@@ -116,12 +119,12 @@ class _StepCollector:
         self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
         self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
 
-    def idle(self, wait: Wait, part: Trajectory, smooth_s: float) -> None:
+    def idle(self, wait: Wait, part: Trajectory, sequence: Sequence) -> None:
         """Append a wait during which `part` is played again and again, from where it begins."""
         begins_s = self.now_s + WAIT_SETTLE_S
         self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
-        self.append(part)
-        self.move_to(_start(part), None, smooth_s)
+        self.append(part, sequence)
+        self.move_to(_start(part), None, sequence.smooth_s)
         at_s = self.now_s + WAIT_SETTLE_S
         self.waits.append(WaitPoint(at_s=at_s, wait=wait, back_s=at_s - begins_s))
         self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
@@ -145,7 +148,7 @@ class _StepCollector:
             Keyframe(deg={name: way[1] for name, way in ways.items()}, at_s=move_s, label="move"),
         )
         move = Sequence(name="move", keyframes=frames, smooth_s=smooth_s)
-        self.append(self.plan(move, self.robot))
+        self.append(self.plan(move, self.robot), None)
 
 
 def planned_play_list(
@@ -160,21 +163,19 @@ def planned_play_list(
     start_deg: dict[str, float] = {}
     for _, part, _ in planned:
         start_deg = {**(_start(part) if part else {}), **start_deg}
-    steps = _StepCollector(robot, plan, dict(start_deg), [], [])
+    steps = _StepCollector(robot, plan, dict(start_deg), [], [], [])
     for step, part, times in planned:
         steps.pause(step.pause_s)
-        if step.wait is not None and part is not None:
-            smooth_s = 0.0 if step.sequence is None else step.sequence.smooth_s
-            steps.move_to(_start(part), step.move_s, smooth_s)
-            steps.idle(step.wait, part, smooth_s)
+        if part is None or step.sequence is None:
+            if step.wait is not None:
+                steps.wait(step.wait)
             continue
-        if step.wait is not None:
-            steps.wait(step.wait)
-        for _ in range(times):
-            if part is not None:
-                smooth_s = 0.0 if step.sequence is None else step.sequence.smooth_s
-                steps.move_to(_start(part), step.move_s, smooth_s)
-                steps.append(part)
+        for _ in range(times if step.wait is None else 1):
+            steps.move_to(_start(part), step.move_s, step.sequence.smooth_s)
+            if step.wait is None:
+                steps.append(part, step.sequence)
+            else:
+                steps.idle(step.wait, part, step.sequence)
     if show.loop != 1:
         steps.move_to(start_deg, None)
     return _trajectory(show, steps, robot)
@@ -208,6 +209,7 @@ def _trajectory(show: Sequence, steps: _StepCollector, robot: Robot) -> Trajecto
     whole = PlayListPass(
         joints=joints,
         parts=tuple(part for _, part, _ in parts),
+        sequences=tuple(steps.sequences),
         starts_s=np.array([start_s for start_s, _, _ in parts]),
         poses_deg=np.array([[pose_deg[name] for name in joints] for _, _, pose_deg in parts]),
         duration_s=steps.now_s,

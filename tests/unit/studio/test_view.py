@@ -106,7 +106,7 @@ def test_the_lanes_of_a_play_list_stand_where_its_parts_are_played():
     values = planned(EXAMPLES / "playlist.yaml")
     view = viewed(values)
     kinds = {(lane["kind"], lane["name"]) for lane in view["lanes"]}
-    assert {("layer", "nod"), ("track", "greet")} <= kinds
+    assert {("layer", "nod"), ("part", "greet")} <= kinds
     nod = next(lane for lane in view["lanes"] if lane["kind"] == "layer")
     marks = {round(mark.planned_s, 3) for mark in values[1].marks}
     assert marks >= {round(key["at_s"], 3) for key in nod["keys"] if key["at_s"] <= 3.0}
@@ -114,9 +114,105 @@ def test_the_lanes_of_a_play_list_stand_where_its_parts_are_played():
     assert nod["file"] == "parts/nod.yaml"
     times = [round(key["at_s"], 3) for key in nod["keys"]]
     assert times == [
-        *(1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0),
-        *(9.0, 9.5, 10.0, 10.5, 11.0, 11.5, 12.0, 12.5, 13.0),
+        *(1.0, 1.5, 2.0, 2.5, 3.0, 3.0, 3.5, 4.0, 4.5, 5.0),
+        *(9.0, 9.5, 10.0, 10.5, 11.0, 11.0, 11.5, 12.0, 12.5, 13.0),
     ], "both passes of both layers"
+    for lane in view["lanes"]:
+        for key in lane["keys"] if lane["kind"] == "part" else ():
+            for name, deg in key["deg"].items():
+                plan = curve_of(view["curves"][name]["plan"])
+                is_there = abs(plan.at(np.array([key["at_s"]]))[0] - deg) < 0.02
+                assert is_there or name.startswith("Head"), (lane["name"], name, key)
+
+
+def keys_of(joint, *at_deg):
+    return [{"at_s": at_s, "deg": {joint: deg}} for at_s, deg in at_deg]
+
+
+SWING = keys_of("shoulder", (0.0, 0.0), (0.6, 20.0), (1.2, 0.0))
+FAST = keys_of("shoulder", (0.0, 0.0), (0.2, 30.0), (0.4, 0.0))
+BASE = keys_of("base", (0.0, 0.0), (3.0, 60.0), (6.0, 0.0))
+LUNGE = keys_of("base", (0.0, 0.0), (0.3, 80.0), (0.6, 0.0))
+NOD = {"elbow": {"keyframes": keys_of("elbow", (0.0, 0.0), (0.5, 9.0), (1.0, 0.0)), "loop": 4}}
+PAIR = [{"file": "swing.yaml"}, {"pause_s": 0.25}, {"file": "nod.yaml"}]
+
+
+def added(**more):
+    return {"layers": [{"file": "layer.yaml", "from_s": 0.5, **more}]}
+
+
+LAYERED = {
+    "a layer that loops": ({"keyframes": BASE, **added()}, {"keyframes": SWING, "loop": 3}, 3 * 3),
+    "one that never ends": (
+        {"keyframes": BASE, **added(from_s=0)}, {"keyframes": SWING, "loop": "forever"}, 5 * 3,
+    ),
+    "one that is cut": (
+        {"keyframes": BASE, **added(to_s=2.9)}, {"keyframes": SWING, "loop": "forever"}, 2 * 3,
+    ),
+    "one that starts from rest": (
+        {"keyframes": BASE, **added()}, {"keyframes": FAST, "loop": 4}, 4 * 3,
+    ),
+    "one with a track that loops": (
+        {"keyframes": BASE, **added()}, {"keyframes": SWING, "tracks": NOD}, 3 + 4 * 3,
+    ),
+    "one that is a play list, twice": (
+        {"keyframes": BASE, **added()}, {"play": PAIR, "loop": 2}, 2 * (3 + 3),
+    ),
+    "below it a show that loops": (
+        {"keyframes": BASE, "loop": 3, **added()}, {"keyframes": SWING, "loop": 2}, 2 * 3,
+    ),
+    "neither ever ends": (
+        {"keyframes": BASE, "loop": "forever", **added(from_s=0)},
+        {"keyframes": SWING, "loop": "forever"}, None,
+    ),
+    "only some of its joints": (
+        {"keyframes": BASE, **added(joints=["shoulder"])},
+        {"keyframes": SWING, "tracks": NOD, "loop": 3}, 3 * 3,
+    ),
+    "the sum is slowed": (
+        {"keyframes": BASE, "layers": [
+            {"file": "layer.yaml"}, {"file": "lunge.yaml", "mode": "add", "from_s": 1.0},
+        ]},
+        {"keyframes": SWING, "loop": 4}, 4 * 3,
+    ),
+    "some joints keep their time": (
+        {"keyframes": BASE, "keep": {"shoulder": "time"}, "layers": [
+            {"file": "layer.yaml"}, {"file": "lunge.yaml", "mode": "add", "from_s": 1.0},
+        ]},
+        {"keyframes": SWING, "loop": 4}, 4 * 3,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LAYERED)
+def test_keys_of_layers_stand_on_the_plan_in_every_pass(tmp_path, case):
+    """Each key of a layer that replaces angles is where the plan is at its angle."""
+    robot = str(EXAMPLES / "robots" / "desk_arm.yaml")
+    show, layer, count = LAYERED[case]
+    files = {
+        "show": show, "layer": layer, "lunge": {"keyframes": LUNGE},
+        "swing": {"keyframes": SWING}, "nod": NOD["elbow"] | {"loop": 1},
+    }  # fmt: skip
+    for name, content in files.items():
+        text = json.dumps({"sequence": name, "robot": robot, **content})
+        (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
+    values = planned(tmp_path / "show.yaml")
+    view = viewed(values)
+    lanes = [lane for lane in view["lanes"] if lane["kind"] == "layer" and not lane["is_added"]]
+    keys = [key for lane in lanes for key in lane["keys"]]
+    for key in keys:
+        for name, deg in key["deg"].items():
+            plan = curve_of(view["curves"][name]["plan"])
+            assert plan.at(np.array([key["at_s"]])) == pytest.approx(deg, abs=0.02), key
+    assert {lane["file"] for lane in lanes} <= {"layer.yaml", "swing.yaml", "nod.yaml"}
+    if count is not None:
+        assert len(keys) == count
+        own = [lane for lane in view["lanes"] if lane["kind"] == "track"]
+        assert len(own[0]["keys"]) == 3 * show.get("loop", 1), "the show itself"
+        return
+    times_s = [key["at_s"] for key in keys]
+    assert max(times_s) == pytest.approx(view["view_s"])
+    assert len(times_s) == 1 + 3 * round(view["view_s"] / 1.2), "the next pass begins at its end"
 
 
 def test_the_line_is_used_as_long_as_the_bytes_take(show):
