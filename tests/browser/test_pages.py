@@ -280,7 +280,7 @@ Promise.all(['draw', 'layout', 'window'].map((name) => import(`/static/timeline/
       name, keys.map((key, n) => ({...key, deg: 20 * (n % 2), lane: 0, key: n}))])),
   };
   let calls = 0;
-  const ctx = new Proxy({}, {
+  const ctx = new Proxy({measureText: () => ({width: 0})}, {
     get: (own, name) => name in own ? own[name] : () => { calls += 1; },
     set: (own, name, value) => { own[name] = value; return true; },
   });

@@ -150,8 +150,14 @@ def test_numbers_strips_and_readings_say_what_is(wave, opened):
             modules("numbers", "pages/robot_joints", "readings")
             + """.then(([numbers, joints, readings]) => {
               const trace = new readings.ReadingTrace();
-              for (let n = 0; n < 9; n += 1) trace.push('before', n / 10, [n]);
-              trace.push('now', 0.95, [5]);
+              for (let n = 0; n < 9; n += 1) trace.push('before', n / 10, [n], [n]);
+              trace.push('now', 0.95, [5], [5]);
+              // Two joints are not read for a second, in which only the second is to move.
+              const unread = new readings.ReadingTrace();
+              for (let n = 0; n <= 10; n += 1) {
+                unread.push('now', n / 10, n < 10 ? [5, 5] : [6, 9], [5, 5 + 0.4 * n]);
+              }
+              const count = (own, deg) => [...deg.slice(0, own.count)].filter((one) => one === 5);
               const away = new readings.Deviations();
               away.take({ plan: 'before', predicted_deg: [1], read_deg: [4] });
               away.take({ plan: 'now', predicted_deg: [2], read_deg: [NaN] });
@@ -164,6 +170,7 @@ def test_numbers_strips_and_readings_say_what_is(wave, opened):
                 places: [-0.1, 70.2, 35, -3, 73].map(place),
                 kept: trace.segments.flatMap((own) => [...own.times_s.slice(0, own.count)]),
                 away: Number.isNaN(away.of(0)),
+                rests: unread.segments.map((own) => own.deg.map((deg) => count(own, deg).length)),
               };
             })"""
         )
@@ -171,6 +178,7 @@ def test_numbers_strips_and_readings_say_what_is(wave, opened):
     assert found["places"] == ["near", "near", "within", "outside", "outside"]
     assert found["kept"] == [0.95]
     assert found["away"] is True
+    assert found["rests"] == [[2, 1]], "where a joint was that had to move is not known"
 
 
 def test_the_figure_stands_where_the_robot_was_read(wave, opened):
@@ -216,6 +224,7 @@ def test_a_span_leaves_its_row_readable_and_added_keys_stand_on_the_curve(wave, 
                   get: (_, name) => name === 'fillRect'
                     ? (...box) => fills.push([alpha, ...box])
                     : name === 'rect' ? (...box) => clips.push(box)
+                    : name === 'measureText' ? () => ({ width: 0 })
                     : name === 'moveTo' ? (...at) => points.push(at) : () => {},
                   set: (_, name, value) => {
                     if (name === 'globalAlpha') alpha = value;

@@ -33,6 +33,26 @@ SHOWN = """
     count: document.querySelectorAll('.state').length };
 })()
 """
+WATCHED = """
+(() => {
+  if (window.writtenTexts !== undefined) return;
+  window.writtenTexts = new Map();
+  const { fillRect, fillText } = CanvasRenderingContext2D.prototype;
+  CanvasRenderingContext2D.prototype.fillRect = function (left, top, width, height) {
+    const ratio = this.getTransform().a;
+    const isAll = left === 0 && top === 0 && height * ratio >= this.canvas.height - 2;
+    if (isAll && width * ratio >= this.canvas.width - 2) window.writtenTexts.set(this.canvas, []);
+    fillRect.call(this, left, top, width, height);
+  };
+  CanvasRenderingContext2D.prototype.fillText = function (text, left, middle) {
+    const width = this.measureText(text).width;
+    window.writtenTexts.get(this.canvas)?.push({ text, left, right: left + width, middle });
+    fillText.call(this, text, left, middle);
+  };
+})()
+"""
+"""Notes what is written on each canvas since it was painted over."""
+
 MEASURED = """
 (() => {
   const problems = [];
@@ -90,6 +110,21 @@ MEASURED = """
     const cover = isOwn ? '' : `${top.tagName} ${top.className || top.id}`;
     if (!isOwn) problems.push(`covered: ${said(one.node)} by ${cover}`);
   }
+  for (const own of document.querySelectorAll('textarea, input')) {
+    if (own.scrollWidth > own.clientWidth + 1) problems.push(`cut: ${own.value.slice(0, 40)}`);
+  }
+  for (const [canvas, all] of dialog === null ? window.writtenTexts : []) {
+    if (!canvas.isConnected) continue;
+    for (const [index, one] of all.entries()) {
+      const isIn = one.left >= 0 && one.right <= canvas.clientWidth + 1;
+      if (!isIn) problems.push(`cut on a canvas: ${one.text}`);
+      for (const other of all.slice(index + 1)) {
+        const across = Math.min(one.right, other.right) - Math.max(one.left, other.left);
+        const isApart = across < 1 || Math.abs(one.middle - other.middle) > 9;
+        if (!isApart) problems.push(`overlap on a canvas: ${one.text} and ${other.text}`);
+      }
+    }
+  }
   const buttons = [...document.querySelectorAll('button, input')]
     .filter((one) => dialog === null || dialog.contains(one) || one.closest('#stops') !== null)
     .map((element) => ({ element, ...seen(element.getBoundingClientRect(), element) }))
@@ -123,6 +158,9 @@ SAID = {
     "stopping": "brakes",
 }
 """What a page has to say in a scene, on the Show page."""
+
+
+FIGURE_AS = "document.querySelector('.figure-legend .is-solid')?.textContent"
 
 
 def check_state(page, scene, table):
@@ -159,17 +197,21 @@ def test_states_are_said_alike_and_nothing_is_cut_or_covered(browser, tmp_path, 
     problems, states = [], set()
     with closing(scenes.GROUPS[group](browser, tmp_path)) as found:
         for scene in found:
-            page, states = scene.page, states | {scene.state}
+            page, states, known = scene.page, states | {scene.state}, set()
+            page.run(WATCHED)
             table = page.run(TABLE)
             back = scenes.shown_page(page)
             for theme, size in zip(("dark", "light", "dark"), scenes.SIZES, strict=True):
                 for own in scenes.pages_of(scene.name):
                     scenes.look(page, own, theme, scenes.SIZES[size])
                     check_state(page, scene, table)
+                    if own != "timeline" and (drawn_as := page.run(FIGURE_AS)) is not None:
+                        known.add(drawn_as == "read")
                     what = f"{scene.name} on {own} at {size}"
                     problems += [f"{what}: {text}" for text in page.run(MEASURED)]
                     if size != "1920":
                         check_reach(page, what)
+            assert len(known) == 1, (scene.name, "where the robot stands is known on every page")
             scenes.look(page, "show", "dark", scenes.SIZES["1366"])
             assert SAID.get(scene.name, "") in page.run("document.body.innerText"), scene.name
             scenes.look(page, back, "dark", scenes.SIZES["1366"])

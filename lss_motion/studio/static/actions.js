@@ -4,6 +4,7 @@
 import { ContentsEditor } from "./contents/editor.js";
 import { lowerBound, showTimeOf } from "./curves.js";
 import { Editor } from "./editor.js";
+import { isUnderWay } from "./states.js";
 import { layoutOf, walkedRows } from "./timeline/layout.js";
 
 /** @typedef {import("./store.js").Store} Store */
@@ -140,11 +141,9 @@ export class Actions {
 
   /** Play, pause or resume; never GO. */
   toggle() {
-    const { player, rate } = this.store.state.value;
-    if (!this.isRunning) this.play(this.store.state.value.page !== "show");
-    else if (player.state === "playing" || player.state === "paused") {
-      this.withLease(() => this.link.ask(rate.is_paused ? "resume" : "pause"));
-    }
+    const state = this.store.state.value;
+    if (!this.isRunning) this.play(state.page !== "show");
+    else if (isUnderWay(state)) this.withLease(() => this.link.ask(state.rate.is_paused ? "resume" : "pause"));
   }
 
   /** Start the show, from the cursor or from its start. @param {boolean} fromCursor */

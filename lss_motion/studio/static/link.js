@@ -127,7 +127,7 @@ export class ServerLink {
     if (frame === null) return;
     this.#store.telemetry.value = frame;
     this.#store.deviations.take(frame);
-    if (frame.show_s >= 0) this.#store.readings.push(frame.plan, frame.show_s, frame.read_deg);
+    if (frame.show_s >= 0) this.#store.readings.push(frame.plan, frame.show_s, frame.read_deg, frame.predicted_deg);
     requestFrame();
   }
 

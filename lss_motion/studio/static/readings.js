@@ -10,6 +10,8 @@ const STEP_MIN_S = 0.02;
 
 /** A joint whose reading is the same for longer has rested, or was not read. */
 const REST_S = 0.6;
+/** A joint that is predicted to turn by less rests: readings come in steps of 0.1°, with noise. */
+const REST_DEG = 0.5;
 
 /**
  * Readings in order of arrival, in segments of growing time. A frame repeats the last reading of each
@@ -21,6 +23,9 @@ export class ReadingTrace {
   /** Last reading of each joint, and when it was new. */
   #last_deg = new Float64Array(0);
   #last_s = new Float64Array(0);
+  /** Where each joint was predicted when it was read last, and in the frame before. */
+  #planned_deg = new Float64Array(0);
+  #before_deg = new Float64Array(0);
   /** When the frame before came. */
   #before_s = -Infinity;
   #joints = 0;
@@ -34,6 +39,8 @@ export class ReadingTrace {
     this.#joints = joints;
     this.#last_deg = new Float64Array(joints).fill(NaN);
     this.#last_s = new Float64Array(joints).fill(-Infinity);
+    this.#planned_deg = new Float64Array(joints).fill(NaN);
+    this.#before_deg = new Float64Array(joints).fill(NaN);
     this.#before_s = -Infinity;
   }
 
@@ -43,8 +50,9 @@ export class ReadingTrace {
 
   /** Add a frame: the last reading of each joint, NaN for one that was not read yet.
    * Those of another plan are forgotten. @param {string} plan @param {number} at_s
-   * @param {ArrayLike<number>} deg in the order of the joints */
-  push(plan, at_s, deg) {
+   * @param {ArrayLike<number>} deg in the order of the joints
+   * @param {ArrayLike<number>} predicted_deg where they are predicted */
+  push(plan, at_s, deg, predicted_deg) {
     if (deg.length !== this.#joints || plan !== this.plan) this.reset(deg.length);
     this.plan = plan;
     if (at_s >= this.#before_s && at_s - this.#before_s < STEP_MIN_S) return;
@@ -55,8 +63,10 @@ export class ReadingTrace {
       const own = /** @type {number} */ (deg[joint]);
       if (!Number.isNaN(own) && own !== this.#last_deg[joint]) fresh.push(joint);
     }
-    // Where a joint rested until the frame before, its line goes on from there.
-    const rested = fresh.filter((joint) => this.#before_s - /** @type {number} */ (this.#last_s[joint]) > REST_S);
+    // Where a joint rested until the frame before, its line goes on from there. One that had to move on
+    // meanwhile was not read: it is not known where it was.
+    const rested = fresh.filter((joint) => this.#before_s - /** @type {number} */ (this.#last_s[joint]) > REST_S
+      && Math.abs(/** @type {number} */ (this.#before_deg[joint]) - /** @type {number} */ (this.#planned_deg[joint])) < REST_DEG);
     if (rested.length > 0 && Number.isFinite(this.#before_s) && at_s >= this.#before_s) {
       this.#add(this.#before_s, rested, this.#last_deg);
     }
@@ -64,7 +74,9 @@ export class ReadingTrace {
     for (const joint of fresh) {
       this.#last_deg[joint] = /** @type {number} */ (deg[joint]);
       this.#last_s[joint] = at_s;
+      this.#planned_deg[joint] = /** @type {number} */ (predicted_deg[joint]);
     }
+    this.#before_deg.set(predicted_deg);
     this.#before_s = at_s;
   }
 

@@ -4,6 +4,8 @@
  * page. `stateOf` says which it is, and `detail` what a person needs to know besides. Pure.
  */
 
+import { withinView } from "./curves.js";
+
 /** @typedef {import("./state.js").State} State */
 /** @typedef {"good" | "warn" | "bad" | "busy" | "quiet"} Tone a colour of the theme, `--tone-…` */
 /** @typedef {keyof typeof STATES} StateName */
@@ -30,6 +32,28 @@ export const STATES = /** @satisfies {Record<string, { word: string, tone: Tone,
 
 /** States in which a show moves on: what comes next can be said, and when. @type {ReadonlySet<string>} */
 export const MOVING = new Set(["playing"]);
+
+/** Whether what plays has a time to show and to seek in: a stage that rests, or waits for its cable, plays
+ * nothing. @param {State} state */
+export function hasTime({ stage }) {
+  return stage === null || stage.show !== null && !["rests", "waits_for_port", "connecting", "given_up"].includes(stage.state);
+}
+
+/** Whether something plays that can be paused and sent to another instant. @param {State} state */
+export function isUnderWay(state) {
+  return (state.player.state === "playing" || state.player.state === "paused") && hasTime(state);
+}
+
+/**
+ * Return the instant that is shown: show time and that of the view, of what is played, or was last; else
+ * the cursor's. @param {State} state @param {import("./state.js").Telemetry | null} telemetry
+ */
+export function instantOf({ view, cursor_s, player }, telemetry) {
+  const isOver = player.state === "idle" || telemetry === null;
+  const end_s = view?.duration_s ?? Infinity;
+  const show_s = isOver ? cursor_s : Math.min(Math.max(telemetry.show_s, 0), end_s);
+  return { show_s, at_s: view === null ? 0 : withinView(view, show_s) };
+}
 
 /** What the player does before and between playing, by its phase. @type {Record<string, string>} */
 const STEPS = {

@@ -41,13 +41,13 @@ export function posesAt(view, at_s) {
 /**
  * Return the pose of the robot: where it is predicted, and as far from that as the servos reported;
  * null while none has.
- * @param {View} view @param {Telemetry} telemetry @param {import("../readings.js").Deviations} deviations @returns {Pose | null}
+ * @param {string[]} joints @param {Telemetry} telemetry @param {import("../readings.js").Deviations} deviations @returns {Pose | null}
  */
-export function readPose(view, telemetry, deviations) {
+function readPose(joints, telemetry, deviations) {
   /** @type {Pose} */
   const read = Object.create(null);
   let isRead = false;
-  view.joints.forEach(({ name }, index) => {
+  joints.forEach((name, index) => {
     const away_deg = deviations.of(index);
     // A joint that was not read yet stands where it is predicted.
     read[name] = (telemetry.predicted_deg[index] ?? NaN) + (Number.isFinite(away_deg) ? away_deg : 0);
@@ -56,11 +56,18 @@ export function readPose(view, telemetry, deviations) {
   return isRead ? read : null;
 }
 
-/** Return the pose of a robot that is connected without a show; null while none is known.
- * @param {import("../state.js").State["robot_state"]} robot_state @returns {Pose | null} */
-function livePose(robot_state) {
+/**
+ * Return where the robot stands, as it was read last: connected, while anything is played (also what
+ * another view than this shows) and after that; null while that is not known.
+ * @param {Store} store @returns {Pose | null}
+ */
+export function robotPose(store) {
+  const { robot_state, started } = store.state.peek();
+  const telemetry = store.telemetry.peek();
+  if (telemetry !== null) return started === null ? null : readPose(started.joints, telemetry, store.deviations);
   if (robot_state?.state !== "live") return null;
-  return Object.fromEntries(Object.entries(robot_state.joints).map(([name, joint]) => [name, joint.deg]));
+  const joints = Object.entries(robot_state.joints);
+  return joints.every(([, joint]) => joint.deg === null) ? null : Object.fromEntries(joints.map(([name, joint]) => [name, joint.deg]));
 }
 
 /**
@@ -97,7 +104,7 @@ export function NoFigure({ robot }) {
 /** @param {{ store: Store, isSought?: boolean }} props */
 export function FigurePanel({ store, isSought = false }) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
-  const [isRead, setRead] = useState(false);
+  const [drawn_as, setDrawnAs] = useState("plan");
   const robot = /** @type {import("../pages/robot_view.js").RobotJson | null} */ (
     store.state.value.robot
   );
@@ -113,16 +120,15 @@ export function FigurePanel({ store, isSought = false }) {
       const newest = store.telemetry.peek();
       const telemetry = newest?.plan === view?.plan ? newest : null;
       const isRunning = RUNNING.has(player.state) && telemetry !== null;
-      const now = [view, telemetry, isRunning, cursor_s, theme, robot_state, posed];
+      const now = [view, newest, isRunning, cursor_s, theme, robot_state, posed];
       if (view === null || now.every((one, index) => one === drawn[index])) return;
       if (theme !== drawn[4]) shown.setTheme();
       if (view !== drawn[0]) shown.frame(posesAllOver(view));
       drawn = now;
-      const read = telemetry === null ? livePose(robot_state) : readPose(view, telemetry, store.deviations);
       const at_s = isRunning && telemetry !== null ? withinView(view, Math.max(0, telemetry.show_s)) : cursor_s;
-      const poses = posesOf(view, read, { at_s, isRunning, isSought });
+      const poses = posesOf(view, robotPose(store), { at_s, isRunning, isSought });
       if (isSought && posed !== null) Object.assign(poses.solid, posed);
-      setRead(poses.isRead);
+      setDrawnAs([poses.isRead ? "read" : "plan", ...(poses.line === null ? [] : [poses.isRead ? "plan" : "read"])].join(" "));
       shown.show(poses);
     });
     return () => {
@@ -135,8 +141,7 @@ export function FigurePanel({ store, isSought = false }) {
   const view = store.state.value.view;
   return html`<div ref=${place} class="figure-panel"></div>
     <ul class="figure-legend" aria-label="legend of the figure">
-      <li class=${`is-solid ${isRead ? "is-read" : ""}`}>${isRead ? "read" : "plan"}</li>
-      ${isRead ? html`<li>plan</li>` : null}
+      ${drawn_as.split(" ").map((name, index) => html`<li key=${name} class=${`is-${name} ${index === 0 ? "is-solid" : ""}`}>${name}</li>`)}
       ${view !== null && hasGhost(view) ? html`<li class="is-authored">authored</li>` : null}
     </ul>`;
 }

@@ -6,7 +6,7 @@ import { angleAt, valueAt } from "../curves.js";
 import { EASES } from "../edits.js";
 import { number } from "../numbers.js";
 import { Choice } from "../parts/choice.js";
-import { FileLine, whyNoPlan } from "../parts/text.js";
+import { FileLine } from "../parts/text.js";
 import { lateOf, repairsOf, slackOf } from "../repairs.js";
 import { wholeKeys } from "../timeline/keys.js";
 import { timeText } from "../timeline/window.js";
@@ -21,7 +21,7 @@ import { PoseSliders } from "./pose.js";
 /** @param {Props} props */
 export function About({ state, actions }) {
   const { view, selection } = state;
-  if (view === null) return html`<p class="muted">${whyNoPlan(state)}</p>`;
+  if (view === null) return null;
   if (selection?.kind === "keys") {
     const whole = wholeKeys(selection.keys);
     const [first] = whole;

@@ -2,6 +2,7 @@
 /** The robot page: takes what `RobotView` shows from the store. */
 
 import { html, useEffect, useState } from "../vendor/preact.js";
+import { robotPose } from "../figure/panel.js";
 import { nextFrame } from "../frames.js";
 import { RobotView } from "./robot_view.js";
 
@@ -28,6 +29,7 @@ export function RobotPage({ store, link, actions }) {
   return html`<${RobotView}
     robot=${robot}
     live=${live.state === "playing" ? { ...live, joints: played } : live}
+    stood=${robotPose(store)}
     health=${live.state === "off" ? {} : (state.health?.joints ?? {})}
     isMine=${state.lease.is_mine}
     isLatched=${state.player.latch !== null}

@@ -58,6 +58,7 @@ import { PoseList } from "./robot_poses.js";
 /** Share of the jogging speed by word. */
 const SPEEDS = { slow: 0.2, medium: 0.5, fast: 1 };
 
+/** Of no more joints the figure takes the height of a large window. */
 const FEW_JOINTS = 6;
 
 const STATES = {
@@ -85,6 +86,7 @@ export function whyStill(live, isMine, isLatched, isLost) {
  * @param {object} props
  * @param {RobotJson} props.robot
  * @param {LiveRobot} props.live
+ * @param {import("../figure/kinematics.js").Pose | null} props.stood where it was read last; null: not yet
  * @param {Record<string, JointHealth>} props.health
  * @param {boolean} props.isMine
  * @param {boolean} props.isLatched
@@ -96,7 +98,7 @@ export function whyStill(live, isMine, isLatched, isLost) {
  * @param {(draw: () => void) => void} props.schedule
  * @param {unknown} props.theme
  */
-export function RobotView({ robot, live, health, isMine, isLatched, isLost, scanned, maintenance, send, ask, schedule, theme }) {
+export function RobotView({ robot, live, stood, health, isMine, isLatched, isLost, scanned, maintenance, send, ask, schedule, theme }) {
   const [problem, setProblem] = useState("");
   const [held, setHeld] = useState(/** @type {string | null} */ (null));
   const [speed, setSpeed] = useState(/** @type {keyof typeof SPEEDS} */ ("medium"));
@@ -127,15 +129,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
   }, [hold, mayMove]);
   const isOn = live.state === "live";
   const mayConnect = isMine && !isLost && (live.state === "off" || live.state === "live");
-  // Below few joints there is room beside the figure.
-  const isShort = robot.joints.length <= FEW_JOINTS;
-  const care = html`<${Maintenance}
-    joints=${robot.joints.map((joint) => joint.name)}
-    file=${robot.file ?? "robot.yaml"}
-    event=${maintenance}
-    ...${{ mayMove, why, act }}
-  />`;
-  return html`<main class=${`page robot-page ${isShort ? "robot-short" : ""}`}>
+  return html`<main class=${`page robot-page ${robot.joints.length <= FEW_JOINTS ? "robot-short" : ""}`}>
     <header class="robot-head">
       <h1>${robot.name}</h1>
       <p role="status">
@@ -160,7 +154,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
       <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Drag a slider, or hold + or −, to turn a joint; let go to stop it."}</p>
     </header>
     <div class="robot-side">
-      <div class="robot-look"><${FigureBox} robot=${robot} live=${live} schedule=${schedule} theme=${theme} /></div>
+      <div class="robot-look"><${FigureBox} robot=${robot} stood=${stood} schedule=${schedule} theme=${theme} /></div>
       <${PoseList} poses=${robot.poses} mayMove=${mayMove} why=${why} act=${act} ask=${ask} />
     </div>
     <div class="robot-main">
@@ -172,9 +166,9 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         ...${{ mayMove, why, held, hold, act }}
       />
       ${scanned === null ? null : html`<${ScanResult} scanned=${scanned} />`}
-      ${isShort ? care : null}
+      <${Maintenance} joints=${robot.joints.map((joint) => joint.name)} file=${robot.file ?? "robot.yaml"} event=${maintenance}
+        ...${{ mayMove, why, act }} />
     </div>
-    ${isShort ? null : html`<div class="robot-foot">${care}</div>`}
   </main>`;
 }
 
@@ -184,11 +178,10 @@ function limpAll(ask, act) {
   ask({ title: "Limp all?", text, yes: "Limp all", run: () => act("limp", { joints: [] }) });
 }
 
-/** @param {{robot: RobotJson, live: LiveRobot, schedule: (draw: () => void) => void, theme: unknown}} props */
-function FigureBox({ robot, live, schedule, theme }) {
+/** @param {{robot: RobotJson, stood: import("../figure/kinematics.js").Pose | null, schedule: (draw: () => void) => void, theme: unknown}} props */
+function FigureBox({ robot, stood, schedule, theme }) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
   const shown = useRef(/** @type {ReturnType<typeof createFigure> | null} */ (null));
-  const known = Object.fromEntries(Object.entries(live.joints).map(([name, joint]) => [name, joint.deg]));
   useEffect(() => {
     if (place.current === null || robot.figure === null) return undefined;
     const label = `figure of ${robot.name}, as it stands`;
@@ -197,11 +190,12 @@ function FigureBox({ robot, live, schedule, theme }) {
     shown.current = figure;
     return () => figure.dispose();
   }, [robot.figure]);
-  useEffect(() => shown.current?.setPose({ solid: known, isRead: Object.values(known).some((deg) => deg !== null) }), [robot.figure, JSON.stringify(known)]);
+  useEffect(() => shown.current?.setPose({ solid: stood ?? {}, isRead: stood !== null }), [robot.figure, JSON.stringify(stood)]);
   useEffect(() => shown.current?.setTheme(), [theme]);
   if (robot.figure === null) return html`<${NoFigure} robot=${robot} />`;
   const notes = robot.figure.notes.map((note) => html`<li>${note}</li>`);
   return html`<div ref=${place} class="robot-figure"></div>
+    <ul class="figure-legend" aria-label="legend of the figure"><li class=${`is-solid ${stood === null ? "" : "is-read"}`}>${stood === null ? "not read: every joint at 0°" : "read"}</li></ul>
     ${notes.length > 0 ? html`<ul class="robot-quiet">${notes}</ul>` : null}`;
 }
 

@@ -2,12 +2,11 @@
 /** The Show page: made to run a show from a tablet. No way to change the file. */
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
-import { withinView } from "../curves.js";
 import { FigurePanel } from "../figure/panel.js";
 import { onFrame } from "../frames.js";
 import { whyNoPlan } from "../parts/text.js";
 import { Wellness } from "../parts/wellness.js";
-import { MOVING, stateOf } from "../states.js";
+import { hasTime, instantOf, isUnderWay, MOVING, stateOf } from "../states.js";
 import { timeText } from "../timeline/window.js";
 import { StageCues, StageHosts, StageNotes, StageState } from "./stage.js";
 
@@ -21,7 +20,7 @@ export function ShowPage({ state, actions, store }) {
     if (page.current !== null) drawLive(page.current, store);
   }), []);
   const isStage = state.document?.kind === "stage" || state.stage !== null;
-  return html`<main class=${`page show ${isStage ? "show-stage" : ""} ${state.theatre ? "show-theatre" : ""}`} ref=${page}>
+  return html`<main class=${`page show ${state.stage === null ? "" : "show-stage"} ${state.theatre ? "show-theatre" : ""}`} ref=${page}>
     <section class="now" aria-label="Now">
       <${Now} state=${state} />
       <${StageState} state=${state} />
@@ -35,12 +34,6 @@ export function ShowPage({ state, actions, store }) {
       <${StageHosts} state=${state} /><${Wellness} state=${state} />
       <${Troubles} state=${state} /><${StageNotes} state=${state} /></section>
   </main>`;
-}
-
-/** Whether there is a time to show: a stage that rests, or waits for its cable, plays nothing.
- * @param {State} state */
-function hasTime(state) {
-  return state.stage === null || !["rests", "waits", "preparing", "fault"].includes(stateOf(state).name);
 }
 
 /** @param {{ state: State }} props */
@@ -60,13 +53,11 @@ function Now({ state }) {
 /** Draw what changes with every frame. @param {Element} page @param {import("../store.js").Store} store */
 function drawLive(page, store) {
   const state = store.state.value;
-  const { view, cursor_s, player, rate } = state;
+  const { view, rate } = state;
   if (view === null) return;
   const { name } = stateOf(state);
-  const frame = player.state === "idle" ? null : store.telemetry.value;
-  const show_s = frame === null ? cursor_s : frame.show_s;
-  const at_s = withinView(view, Math.max(show_s, 0));
-  put(page, "[data-clock]", timeText(Math.max(show_s, 0), 0.1));
+  const { show_s, at_s } = instantOf(state, store.telemetry.value);
+  put(page, "[data-clock]", timeText(show_s, 0.1));
   const bar = page.querySelector("[data-progress]");
   if (bar instanceof HTMLElement) bar.style.width = `${((100 * at_s) / view.view_s).toFixed(2)}%`;
   const isRunning = ["playing", "paused", "waits", "recovering", "preparing"].includes(name);
@@ -80,6 +71,7 @@ function drawLive(page, store) {
     const cue = own_s === present?.at_s ? "present" : own_s === later?.at_s ? "coming" : isRunning && own_s <= at_s ? "past" : "";
     if (item.className === cue) continue;
     item.className = cue;
+    if (cue === "coming") item.scrollIntoView({ block: "nearest" });
     if (cue === "present") item.scrollIntoView({ block: "nearest" });
   }
 }
@@ -125,12 +117,12 @@ function upcoming(view) {
 
 /** @param {{ state: State, actions: import("../actions.js").Actions }} props */
 function Cues({ state, actions }) {
-  const { view, player } = state;
+  const { view } = state;
   if (view === null) {
     return html`<p class="muted">${whyNoPlan(state)}</p>`;
   }
   const found = upcoming(view);
-  const canSeek = player.state === "playing" || player.state === "paused";
+  const canSeek = isUnderWay(state);
   if (found.length === 0) return html`<p class="muted">This show has no labels and no events.</p>`;
   return html`<ol class="scroll cue-list">${found.map((cue, index) => html`<li key=${index} data-cue=${cue.at_s}>
     <span class="number">${timeText(cue.at_s, 0.1)}</span>

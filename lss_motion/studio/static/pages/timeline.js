@@ -7,6 +7,7 @@ import { FigurePanel } from "../figure/panel.js";
 import { Mirror } from "../mirror.js";
 import { Choice } from "../parts/choice.js";
 import { Menu } from "../parts/menu.js";
+import { whyNoPlan } from "../parts/text.js";
 import { TimelineBoard } from "../timeline/board.js";
 import { timeText } from "../timeline/window.js";
 import { About } from "./about.js";
@@ -32,7 +33,7 @@ export function TimelinePage({ state, actions, store }) {
   useEffect(() => actions.board?.setTheme(), [state.theme]);
   return html`<main class="page timeline">
     <section class="board-card">
-      <${Tools} state=${state} actions=${actions} />
+      ${state.view === null ? html`<p class="board-why">${whyNoPlan(state)}</p>` : html`<${Tools} state=${state} actions=${actions} />`}
       <div class="board" ref=${place}></div>
       <${Mirror} state=${state} actions=${actions} />
     </section>
@@ -90,6 +91,7 @@ function Legend({ state }) {
   const view = state.view;
   /** @type {[string, string][]} */
   const all = [["plan", "plan"], ["reading", "read"], ["predicted", "predicted error"], ["limit", "limit"]];
+  if (state.order !== 0) all.splice(1, 1); // Angles are read, nothing else.
   if (view?.stretched.length) all.push(["stretched", "slowed"], ["authored", "authored"]);
   if (view?.given_up.length) all.push(["given-up", "angle given up"]);
   return html`<ul class="legend" aria-label="Legend">${all.map(([name, text]) => html`<li key=${name}><i class=${`swatch swatch-${name}`}></i>${text}</li>`)}

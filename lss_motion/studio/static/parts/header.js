@@ -13,9 +13,10 @@ const PAGES = /** @type {const} */ ([["show", "Show"], ["timeline", "Timeline"],
 export function Header({ state, actions }) {
   const { document: own, player } = state;
   const { tone } = stateOf(state);
+  const title = own?.title || state.view?.name || state.welcome?.title || "studio";
   return html`<header class="head">
     <div class="head-title">
-      <strong class="name" title=${own?.title ?? ""}>${own?.title ?? state.welcome?.title ?? "studio"}</strong>
+      <strong class="name" title=${title}>${title}</strong>
       <span class="muted name" title=${own?.file ?? ""}>${own?.file ?? ""}</span>
     </div>
     <nav role="tablist" aria-label="Pages">

@@ -1,8 +1,9 @@
 // @ts-check
 /** GO, play, pause, rate and the way through the show, at the foot of every page. */
 
-import { html } from "../vendor/preact.js";
-import { withinView } from "../curves.js";
+import { html, useEffect, useRef } from "../vendor/preact.js";
+import { onFrame } from "../frames.js";
+import { instantOf, isUnderWay } from "../states.js";
 import { timeText } from "../timeline/window.js";
 import { Choice } from "./choice.js";
 
@@ -12,7 +13,7 @@ import { Choice } from "./choice.js";
 const RATES = [[0.25, "25 %"], [0.5, "50 %"], [0.75, "75 %"], [1, "100 %"]];
 
 /** @param {Props} props */
-export function Transport({ state, actions }) {
+export function Transport({ state, actions, store }) {
   const { player, rate, view, page } = state;
   const { stage } = state;
   // Of a stage it fires the next cue of GO, or ends a rest that waits for GO.
@@ -20,7 +21,7 @@ export function Transport({ state, actions }) {
   const isReady = player.state === "ready" || hasGo;
   const next = stage?.next_go == null ? "" : `: ${stage.next_go}`;
   const isRunning = actions.isRunning;
-  const canPause = player.state === "playing" || player.state === "paused";
+  const canPause = isUnderWay(state);
   const hasPlan = state.document?.plan != null;
   return html`<footer class="foot">
     <button type="button" class=${`go ${isReady ? "go-ready" : ""}`} data-go disabled=${isRunning && !isReady || !hasPlan}
@@ -32,7 +33,7 @@ export function Transport({ state, actions }) {
           ▶ Play from cursor<span class="key-hint">Space</span></button>`}
     <div class="rate"><span class="rate-name">Rate</span><${Choice} label="Rate" options=${RATES} chosen=${nearestRate(rate.ratio)} disabled=${!canPause}
       choose=${(/** @type {number} */ ratio) => actions.rate(ratio)} /></div>
-    ${view === null ? null : html`<${Way} state=${state} actions=${actions} />`}
+    ${view === null ? null : html`<${Way} ...${{ state, actions, store }} />`}
   </footer>`;
 }
 
@@ -41,16 +42,32 @@ function nearestRate(ratio) {
   return RATES.map(([one]) => one).reduce((best, one) => (Math.abs(one - ratio) < Math.abs(best - ratio) ? one : best));
 }
 
+/** Write the instant that the page shows to the slider; while that is held, it is the hand's.
+ * @param {Element} way @param {import("../store.js").Store} store */
+function drawWay(way, store) {
+  const state = store.state.value;
+  const [text, input] = [way.querySelector(".way-at"), way.querySelector("input")];
+  if (state.view === null || text === null || input === null || input.matches(":active")) return;
+  const at_s = isUnderWay(state) ? instantOf(state, store.telemetry.value).at_s : state.cursor_s;
+  const written = timeText(at_s, 0.1);
+  input.value = String(at_s);
+  if (text.textContent === written) return;
+  text.textContent = written;
+  input.setAttribute("aria-valuetext", `${written} of ${timeText(state.view.view_s, 0.1)}`);
+}
+
 /** The way through the show as a slider: seek while it plays, the cursor otherwise.
- * @param {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} props */
-function Way({ state, actions }) {
-  const { view, health, player } = state;
+ * @param {Props} props */
+function Way({ state, actions, store }) {
+  const way = useRef(/** @type {HTMLElement | null} */ (null));
+  useEffect(() => onFrame(() => {
+    if (way.current !== null) drawWay(way.current, store);
+  }), []);
+  const { view } = state;
   if (view === null) return null;
-  const canSeek = player.state === "playing" || player.state === "paused";
-  const at_s = canSeek && health?.show_s != null ? withinView(view, Math.max(health.show_s, 0)) : state.cursor_s;
-  return html`<label class="way"><span class="way-name">${canSeek ? "Seek" : "Cursor"}</span> <span class="way-at">${timeText(at_s, 0.1)}</span>
-    <input type="range" min="0" max=${view.view_s} step="0.01" value=${at_s}
-      aria-valuetext=${`${timeText(at_s, 0.1)} of ${timeText(view.view_s, 0.1)}`}
+  const canSeek = isUnderWay(state);
+  return html`<label class="way" ref=${way}><span class="way-name">${canSeek ? "Seek" : "Cursor"}</span> <span class="way-at"></span>
+    <input type="range" min="0" max=${view.view_s} step="0.01"
       onChange=${(/** @type {Event} */ event) => {
         const to_s = Number(/** @type {HTMLInputElement} */ (event.currentTarget).value);
         if (canSeek) actions.seek(to_s);

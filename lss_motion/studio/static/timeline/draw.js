@@ -30,7 +30,8 @@ export const KEY_PX = 4.5;
 /** Keys closer together than this are small ticks; closer than `CROWDED_PX` they hide the curve. */
 const TIGHT_PX = 9;
 const CROWDED_PX = 4;
-const LABEL_CHAR_PX = 6.4;
+/** A text is shortened to no less than this. */
+const SHORT_PX = 40;
 const FONT = "12px system-ui, sans-serif";
 const SMALL = "11px system-ui, sans-serif";
 const ERROR_PX = 9;
@@ -131,8 +132,9 @@ function drawRuler(ctx, scene, row) {
   ctx.fillStyle = palette.muted;
   ctx.textBaseline = "middle";
   for (let tick = Math.ceil(seen.start_s / step_s); tick * step_s <= endOf(seen); tick += 1) {
-    if (tick < 0) continue;
-    ctx.fillText(timeText(tick * step_s, step_s), pixelOf(seen, tick * step_s) + 4, row.y_px + row.height_px / 2);
+    const x_px = pixelOf(seen, tick * step_s) + 4;
+    const text = timeText(tick * step_s, step_s);
+    if (tick >= 0 && x_px + ctx.measureText(text).width <= seen.width_px) ctx.fillText(text, x_px, row.y_px + row.height_px / 2);
   }
   const { repeat } = scene.view;
   if (repeat !== null) {
@@ -142,22 +144,26 @@ function drawRuler(ctx, scene, row) {
   }
 }
 
-/** Texts in order, each where it has room. @param {Ctx} ctx @param {Scene} scene @param {Row} row
+/** Texts in order, each beside its mark where it has room: it is whole, or shortened by "…", or left out.
+ * @param {Ctx} ctx @param {Scene} scene @param {Row} row
  * @param {{ at_s: number, text: string, colour: string }[]} texts */
 function drawTexts(ctx, scene, row, texts) {
   const { seen } = scene;
   ctx.font = FONT;
   ctx.textBaseline = "middle";
-  let free_px = -Infinity;
+  let free_px = 0;
   for (const { at_s, text, colour } of texts) {
     const x_px = pixelOf(seen, at_s);
-    if (x_px < -200 || x_px > seen.width_px) continue;
+    if (x_px < -1 || x_px > seen.width_px) continue;
     ctx.fillStyle = colour;
-    const hasRoom = x_px + 4 >= free_px;
+    const width_px = ctx.measureText(text).width;
+    const isLeft = x_px + 5 + width_px > seen.width_px && x_px - 4 - width_px >= free_px;
+    const room_px = isLeft ? width_px : seen.width_px - x_px - 5;
+    const hasRoom = isLeft || x_px >= free_px && room_px >= Math.min(width_px, SHORT_PX);
     ctx.fillRect(x_px - 0.5, row.y_px + (hasRoom ? 3 : row.height_px - 6), 1.5, hasRoom ? row.height_px - 6 : 5);
     if (!hasRoom) continue;
-    ctx.fillText(text, x_px + 5, row.y_px + row.height_px / 2);
-    free_px = x_px + 14 + text.length * LABEL_CHAR_PX;
+    ctx.fillText(fittedText(ctx, text, room_px), isLeft ? x_px - 4 - width_px : x_px + 5, row.y_px + row.height_px / 2);
+    free_px = isLeft ? seen.width_px : x_px + 10 + Math.min(width_px, room_px);
   }
 }
 
@@ -172,10 +178,11 @@ function drawParts(ctx, scene, row) {
     if (x_px > seen.width_px || x_px + width_px < 0) continue;
     ctx.fillStyle = palette.hold;
     ctx.fillRect(x_px + 1, row.y_px + 3, Math.max(width_px - 2, 1), row.height_px - 6);
-    if (part.name.length * LABEL_CHAR_PX + 10 < width_px) {
-      ctx.fillStyle = palette.text;
-      ctx.fillText(part.name, Math.max(x_px, 0) + 6, row.y_px + row.height_px / 2);
-    }
+    const left_px = Math.max(x_px, 0) + 6;
+    const room_px = Math.min(x_px + width_px, seen.width_px) - left_px - 4;
+    if (room_px < Math.min(ctx.measureText(part.name).width, SHORT_PX)) continue;
+    ctx.fillStyle = palette.text;
+    ctx.fillText(fittedText(ctx, part.name, room_px), left_px, row.y_px + row.height_px / 2);
   }
 }
 
@@ -196,7 +203,8 @@ function drawWave(ctx, scene, row) {
   if (form.peaks === undefined || form.rate_hz === undefined) {
     ctx.fillStyle = palette.muted;
     ctx.font = SMALL;
-    ctx.fillText(form.error ?? "", Math.max(pixelOf(seen, form.from_s), 4), middle_px);
+    const left_px = Math.max(pixelOf(seen, form.from_s), 4);
+    if (left_px + SHORT_PX < seen.width_px) ctx.fillText(fittedText(ctx, form.error ?? "", seen.width_px - left_px), left_px, middle_px);
     return;
   }
   const pairs = form.peaks.length / 2;
@@ -608,24 +616,26 @@ function drawName(ctx, scene, row, width_px, view) {
   const isTall = row.kind === "joint" || row.kind === "line";
   const y_px = isTall ? row.y_px + 13 : row.y_px + row.height_px / 2;
   const name = row.kind === "line" ? `line ${row.name}` : row.name;
-  ctx.fillText(fittedText(name, width_px - 14), 10, y_px);
+  /** @param {string} text @param {number} at_px */
+  const write = (text, at_px) => ctx.fillText(fittedText(ctx, text, width_px - 14), 10, at_px);
+  write(name, y_px);
   ctx.font = SMALL;
   ctx.fillStyle = palette.muted;
   if (row.kind === "joint") {
     const joint = /** @type {import("../state.js").JointView} */ (view.joints[row.index]);
     const [low, high] = rangeOf(joint, order, scene.used_deg[row.name] ?? [0, 0]);
     const limit = order === 0 ? `${round(low)} to ${round(high)}` : `± ${round(order === 1 ? joint.speed_max_deg_s : joint.accel_max_deg_s2)}`;
-    ctx.fillText(fittedText(`${joint.servo} · id ${joint.id}`, width_px - 14), 10, row.y_px + 26);
-    ctx.fillText(`${limit} ${UNITS[order]}`, 10, row.y_px + 40);
+    write(`${joint.servo} · id ${joint.id}`, row.y_px + 26);
+    write(`${limit} ${UNITS[order]}`, row.y_px + 40);
     const error = view.error[row.name];
     if (error !== undefined) {
       ctx.fillStyle = palette.predicted;
-      ctx.fillText(`horn ≤ ${error.max_deg.toFixed(2)} deg off`, 10, row.y_px + row.height_px - 10);
+      write(`horn ≤ ${error.max_deg.toFixed(2)} deg off`, row.y_px + row.height_px - 10);
     }
   }
   if (row.kind === "line") {
     const use = view.line[row.name];
-    if (use !== undefined) ctx.fillText(`${Math.round(100 * use.mean_ratio)} %, worst ${Math.round(100 * use.worst_100_ms_ratio)} %`, 10, row.y_px + 26);
+    if (use !== undefined) write(`${Math.round(100 * use.mean_ratio)} %, worst ${Math.round(100 * use.worst_100_ms_ratio)} %`, row.y_px + 26);
   }
 }
 
@@ -634,10 +644,12 @@ function round(value) {
   return number(value, Math.abs(value) >= 100 ? 0 : 1);
 }
 
-/** @param {string} text @param {number} width_px */
-function fittedText(text, width_px) {
-  const most = Math.floor(width_px / (LABEL_CHAR_PX + 0.6));
-  return text.length <= most ? text : `${text.slice(0, Math.max(most - 1, 1))}…`;
+/** Return a text, shortened where it is wider than its room. @param {Ctx} ctx @param {string} text @param {number} width_px */
+function fittedText(ctx, text, width_px) {
+  if (ctx.measureText(text).width <= width_px) return text;
+  let most = text.length - 1;
+  while (most > 1 && ctx.measureText(`${text.slice(0, most)}…`).width > width_px) most -= 1;
+  return `${text.slice(0, most)}…`;
 }
 
 /**
