@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 CHECK_TEXT: Final = """\
 Check a file: read it, plan and compile it, and print what was slowed down and why, the use of each
-limit and the load of the bus. Nothing is written and no servo is contacted. Of slow spans and late
-keyframes the worst ten are listed after the totals; `--all` and `--json` list all.
+limit and the load of the bus; of a robot with masses also the torque of its servos, current and
+heat. Nothing is written and no servo is contacted. Of slow spans and late keyframes the worst ten
+are listed after the totals; `--all` and `--json` list all.
 
 `--robust` then plays up to 60 s of the show on 26 simulated robots that are worse than assumed
 (lag, dead time, ramps, motors, load, play, losses, a push), each with feedback and `on_fault`. It
@@ -176,6 +177,7 @@ def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.planning import shows
     from lss_motion.planning.summaries import advice_lines, program_lines, robot_lines
     from lss_motion.show.gait import is_gait_file
+    from lss_motion.show.gait.kinematics import figure_of
     from lss_motion.stage import is_stage_file
 
     if shows.is_robot_file(arguments.file):
@@ -207,6 +209,7 @@ def _check(arguments: argparse.Namespace) -> int:
         sequence = sequence_from(gait, passages)
         show = shows.compiled(sequence, robot, is_following=arguments.follow)
         lines = gait_lines(gait, passages)
+    figure_of(show.robot)  # Raises where its URDF file is wrong, as for the robot alone.
     if not arguments.json:
         lines += program_lines(show, is_whole=arguments.all)
         say("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]))

@@ -23,6 +23,7 @@ from lss_motion.planning.summaries import (
     smoothings,
 )
 from lss_motion.planning.trajectory.model import GivenUp, SlowSpan, Smoothing  # noqa: TC001
+from lss_motion.planning.trajectory.torques import PlanLoad, plan_load
 from lss_motion.robot.model import NO_SERVO
 from lss_motion.show.functions import calls_of
 
@@ -118,6 +119,8 @@ class ShowCheck(Struct, frozen=True, kw_only=True):
     ease_advice: Sequence[EaseChange]
     buses: Mapping[str, LineUse]
     functions: Sequence[CalledFunction]
+    load: PlanLoad | UnsetType = UNSET
+    """What the plan asks of the servos; only where the robot has masses."""
     robust: Mapping[str, Any] | UnsetType = UNSET
     """With `--robust`: the runs on simulated robots that are worse than assumed."""
 
@@ -180,7 +183,10 @@ def check_schema() -> dict[str, Any]:
 
 
 def show_as_json(show: Show) -> dict[str, Any]:
-    """Return the result of `check --json` for a show."""
+    """Return the result of `check --json` for a show.
+
+    Raises `InputError` if the URDF file of its robot is wrong.
+    """
     program, trajectory = show.program, show.trajectory
     found = ShowCheck(
         name=program.name,
@@ -207,6 +213,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
             CalledFunction(run=call.run, files=[str(file) for file in call.files], count=call.count)
             for call in calls_of(program.cues)
         ],
+        load=UNSET if trajectory is None else plan_load(trajectory, show.robot) or UNSET,
     )
     made: dict[str, Any] = to_builtins(found)
     return made

@@ -38,6 +38,7 @@ from lss_motion.robot.model import (
     RESUME_S,
     SERVO,
     SILENT_S,
+    SUPPLY_V,
     TEMPERATURE_MAX_C,
     VOLTAGE_MIN_V,
 )
@@ -543,6 +544,23 @@ class MirrorEntry(FileModel, title="mirror"):
     )
 
 
+class SupplyEntry(FileModel, title="supply"):
+    """What feeds the servos. With the masses of a figure, `check` holds a plan against it."""
+
+    voltage_v: float = Field(
+        default=SUPPLY_V,
+        gt=0.0,
+        le=60.0,
+        description="Under load: top speed and torque of a servo go with it.",
+    )
+    current_max_a: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1000.0,
+        description="What it gives without a dip of its voltage. Left out: not known.",
+    )
+
+
 class RobotFile(FileModel, title="robot file"):
     """A robot: its buses, its joints with their limits, and named poses."""
 
@@ -630,6 +648,11 @@ class RobotFile(FileModel, title="robot file"):
         default=0.0,
         description="Sounds sound so much later than the show (below 0: earlier). The lag of the "
         "servos is allowed for without it. The keys , and . of lss-play find the value.",
+    )
+    supply: SupplyEntry = Field(
+        default_factory=SupplyEntry,
+        description="The power supply or battery of all servos.",
+        examples=[{"voltage_v": 11.1, "current_max_a": 8}],
     )
     end: Literal["hold", "limp"] = Field(
         default="hold",

@@ -23,7 +23,17 @@ from lss_motion.protocol.io2 import rc_zero_deg
 from lss_motion.protocol.lss import LSS_FIRMWARE
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, Units
 from lss_motion.robot.figure_links import figure_from
-from lss_motion.robot.model import NO_SERVO, SERVO, Bus, Joint, Response, Robot, Sensor, UrdfSource
+from lss_motion.robot.model import (
+    NO_SERVO,
+    SERVO,
+    Bus,
+    Joint,
+    Response,
+    Robot,
+    Sensor,
+    Supply,
+    UrdfSource,
+)
 from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
     FAMILIES,
@@ -232,6 +242,7 @@ class _RobotLoader:
             resume_s=content.resume_s,
             figure=figure,
             urdf=self._urdf(path),
+            supply=Supply(**content.supply.known()),
         )
 
     def _urdf(self, path: Path) -> UrdfSource | None:

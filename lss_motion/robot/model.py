@@ -31,6 +31,8 @@ TEMPERATURE_MAX_C: Final = 75.0
 """Chosen: ten degrees below the safe mode of an LSS (FACTS.md S7)."""
 VOLTAGE_MIN_V: Final = 6.0
 """The lowest voltage of an LSS (FACTS.md E4); no document gives it for an LSS-PRO."""
+SUPPLY_V: Final = 12.0
+"""The nominal voltage of an LSS, at which its data sheet holds (FACTS.md E4)."""
 SILENT_S: Final = 1.0
 """Chosen: shorter than the 1.25 s for which a restarting servo receives nothing, so that a restart
 is detected before the servo is driven without its settings; long enough for a line that loses every
@@ -270,6 +272,14 @@ class Sensor(Struct, frozen=True, kw_only=True):
         return "raw" if self.kind == "raw" else "mm"
 
 
+class Supply(Struct, frozen=True, kw_only=True):
+    """What feeds all servos of a robot, as far as its robot file says."""
+
+    voltage_v: float = SUPPLY_V
+    current_max_a: float | None = None
+    """What it gives without a dip of its voltage; None: not known."""
+
+
 class UrdfSource(Located, frozen=True, kw_only=True):
     """The URDF file of a robot, as its robot file names it; it is read where it is drawn."""
 
@@ -317,6 +327,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     """What it looks like, for pictures; no motion depends on it."""
     urdf: UrdfSource | None = None
     """A URDF file in place of `figure`: `robot.urdf` reads it."""
+    supply: Supply = field(default_factory=Supply)
 
     def identify_command(self, name: str) -> str:
         """Return the command line that measures a joint."""

@@ -31,6 +31,7 @@
 | `explain.py`    | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
 | `more_time.py`  | how much more time anchors need that are missed      | planner                 |
 | `eases.py`      | where `spline` or `smooth` makes a motion later      | summaries               |
+| `torques.py`    | torque, current and heat of servos that carry masses | summaries, plot         |
 | `plot.py`       | a picture of a trajectory                            | cli                     |
 
 toppra takes a second to import. It is imported only where a motion must be slowed or made as fast

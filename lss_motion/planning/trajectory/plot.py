@@ -13,6 +13,7 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.planning.picture import Instant, Timeline, draw_curve, new_figure, save, with_room
 from lss_motion.planning.trajectory.playlist import all_cues, all_marks
+from lss_motion.planning.trajectory.torques import torque_curves
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,6 +53,7 @@ ANNOTATED_MIN_S: Final = 0.01
 SPAN_SHARE_MIN: Final = 0.001
 """Least width of a shaded span: a pixel or two."""
 
+TITLES: Final = ("angle, deg", "speed, deg/s", "acceleration, deg/s²", "torque of servo, N·m")
 PLANNED, HORN, LIMIT, LATE = "#1f5fa8", "#e0701a", "#c0392b", "#f6c344"
 """Colours: the plan, measured horn angles, limits, slowed spans."""
 
@@ -69,9 +71,11 @@ def plot(
 ) -> None:
     """Draw the trajectory into `path`; the suffix chooses the kind of picture.
 
+    A robot with masses has a column more: the torque of the servo of each joint.
     `horn` adds measured horn angles: times in s, and degrees, (n, joints), in the order of
     `trajectory.joints`. `beats_s` are those of one pass, drawn over the sounds of the show.
-    Raises `InputError` for a suffix that cannot be drawn or a file that cannot be written.
+    Raises `InputError` for a suffix that cannot be drawn, a file that cannot be written, and a
+    wrong URDF file of the robot.
     """
     count = len(trajectory.joints)
     end_s = _shown_s(trajectory)
@@ -79,17 +83,20 @@ def plot(
     row_in = max(ROW_HEIGHT_MIN_IN, min(ROW_HEIGHT_IN, 16.0 / count))
     top_in = TIMELINE_ROW_IN * timeline.rows + 0.2
     width_in, share = (WIDE_IN, 2.4) if end_s > LONG_S else (WIDTH_IN, 1.6)
-    angle_in = ANGLE_SHARE * width_in * share / (share + 2.0)
+    times_s, curves = _curves(trajectory, end_s)
+    torques = torque_curves(trajectory, robot, times_s)
+    columns = len(TITLES) - (torques is None)
+    angle_in = ANGLE_SHARE * width_in * share / (share + columns - 1.0)
     sounds = [cue for cue in all_cues(trajectory, end_s) if cue.sound]
     sound_in = [SOUND_ROW_IN] * bool(sounds or beats_s)
     figure = new_figure(path, width_in, 1.2 + top_in + sum(sound_in) + row_in * max(count, 2))
     axes = figure.subplots(
         count + 1 + len(sound_in),
-        3,
+        columns,
         sharex=True,
         squeeze=False,
         height_ratios=[top_in, *sound_in, *([row_in] * count)],
-        width_ratios=[share, 1.0, 1.0],
+        width_ratios=[share, *([1.0] * (columns - 1))],
     )
     axes[0][0].set_xlim(-0.01 * end_s, 1.01 * end_s)
     for axis in axes[: 1 + len(sound_in)].flat:
@@ -101,38 +108,33 @@ def plot(
     if timeline.rows:
         axes[0][0].axis("on")
         timeline.draw(axes[0][0], angle_in)
-    times_s, curves = _curves(trajectory, end_s)
     for row, name in enumerate(trajectory.joints):
         values = [curve[:, row] for curve in curves]
         own_horn = None if horn is None else (horn[0], horn[1][:, row])
         _row(axes[row + 1], robot.joints[name], times_s, values, own_horn)
+        if torques is not None:
+            _torque(axes[row + 1][3], times_s, torques[name])
         _asked(axes[row + 1][0], trajectory, row)
         for axis in axes[row + 1]:
             timeline.draw_lines(axis)
             _spans(axis, trajectory, end_s)
         _notes(axes[row + 1][0], trajectory, name, (end_s / angle_in, end_s))
-    _titles(axes)
-    figure.suptitle(_headline(trajectory), fontsize=11, x=0.01, ha="left")
-    figure.legend(
-        handles=_legend(
-            trajectory,
-            timeline,
-            has_horn=horn is not None,
-            has_sound=bool(sounds),
-            has_beats=bool(beats_s),
-        ),
-        loc="upper right",
-        ncols=9,
-        fontsize=8,
-        frameon=False,
+    handles = _legend(
+        trajectory,
+        timeline,
+        has_horn=horn is not None,
+        has_sound=bool(sounds),
+        has_beats=bool(beats_s),
     )
+    _titles(figure, axes, _headline(trajectory), handles)
     save(figure, path)
 
 
-def _titles(axes: Any) -> None:  # noqa: ANN401  matplotlib is untyped here
-    """Write the titles of the columns of joints, and the unit of time below them."""
-    titles = ("angle, deg", "speed, deg/s", "acceleration, deg/s²")
-    for axis, title in zip(axes[1], titles, strict=True):
+def _titles(figure: Any, axes: Any, headline: str, handles: list[Any]) -> None:  # noqa: ANN401
+    """Write the headline, the legend, the titles of the columns, and the unit of time below."""
+    figure.suptitle(headline, fontsize=11, x=0.01, ha="left")
+    figure.legend(handles=handles, loc="upper right", ncols=9, fontsize=8, frameon=False)
+    for axis, title in zip(axes[1], TITLES, strict=False):
         axis.set_title(title, fontsize=10, loc="left")
     for axis in axes[-1]:
         axis.set_xlabel("s", fontsize=8)
@@ -171,13 +173,9 @@ def _row(
 ) -> None:
     speed, accel = joint.speed_max_deg_s, joint.accel_max_deg_s2
     bounds = ((joint.position_min_deg, joint.position_max_deg), (-speed, speed), (-accel, accel))
-    for axis, value, (low, high) in zip(axes, values, bounds, strict=True):
+    for axis, value, (low, high) in zip(axes[: len(values)], values, bounds, strict=True):
+        _panel(axis)
         draw_curve(axis, times_s, value, PLANNED)
-        axis.grid(visible=True, color="#e6e9ec", linewidth=0.6)
-        axis.tick_params(labelsize=7)
-        axis.margins(y=0.12)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
         for limit in (low, high):
             # A range limit far away would flatten the angle curve, and is left out.
             shown = axis.get_ylim()
@@ -186,6 +184,28 @@ def _row(
     if horn is not None:
         draw_curve(axes[0], *horn, HORN)
     axes[0].set_ylabel(joint.name, fontsize=9, fontweight="bold")
+
+
+def _panel(axis: Any) -> None:  # noqa: ANN401  matplotlib is untyped here
+    axis.grid(visible=True, color="#e6e9ec", linewidth=0.6)
+    axis.tick_params(labelsize=7)
+    axis.margins(y=0.12)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
+
+
+def _torque(
+    axis: Any,  # noqa: ANN401  as above
+    times_s: FloatArray,
+    values: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Draw the torque of a servo, and between which torques it can give any at its speed."""
+    torque, *ends = values
+    _panel(axis)
+    draw_curve(axis, times_s, torque, PLANNED)
+    for end in ends:
+        if np.isfinite(end).all():
+            draw_curve(axis, times_s, end, LIMIT)
 
 
 def _asked(axis: Any, trajectory: Trajectory, row: int) -> None:  # noqa: ANN401  as above
