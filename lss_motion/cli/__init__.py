@@ -44,6 +44,7 @@ terminal        keys and signals during a run; `play`, `walk`, `identify`, `hand
 careful         the careful run before a show, and what is learnt in it; `play`
 dialog          questions before a robot moves or a function runs, and a line an event
 display         the live display, a process of its own; `play`, `walk`
+linkage         steps of `calibrate --linkage`, with keys
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
 ==============  =================================================================================
 """

@@ -427,6 +427,12 @@ agree, it is written as zero_deg and direction; where the servo has another gyre
 file states, those are written as well (`stored`). Nothing else in the robot file changes. With
 --to-servos the origin offset of each servo is set and stored as well, so that the servo itself
 reports 0 at the zero pose.
+
+With --linkage a push rod is measured: step its servo with the arrows, or let it go limp and move
+it, and type the angle of the joint, read with a protractor or in a photo, at five or more places.
+The table is shown with how smooth it is, and written as the `linkage` of the joint if you agree.
+
+  lss-motion calibrate my_robot.yaml --linkage jaw
 """
 
 
@@ -442,6 +448,11 @@ def _add_calibrate(commands: Commands) -> None:
         "--at", metavar="POSE", help="bring the robot to this pose of its file, not to zero"
     )
     calibrate.add_argument(
+        "--linkage",
+        metavar="JOINT",
+        help="measure what a push rod makes of its servo: step it, type the angle of the joint",
+    )
+    calibrate.add_argument(
         "--to-servos", action="store_true", help="also set and store the origin in the servos"
     )
 
@@ -451,6 +462,10 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     from lss_motion.playing.hands_on import HandsOn
 
     robot, joints = load(arguments)
+    if arguments.linkage is not None:
+        if arguments.at is not None or arguments.joints is not None or arguments.to_servos:
+            raise InputError("--linkage measures one joint; it goes without the other options")
+        return _measure_linkage(arguments, robot)
     if arguments.at is not None and arguments.at not in robot.poses:
         known = known_names(arguments.at, robot.poses)
         raise InputError(f"unknown pose {arguments.at!r}; {known}", path=robot.path)
@@ -460,6 +475,19 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     return run_command(
         arguments, hands_on, CalibrateControls(robot, pose, is_to_servos=arguments.to_servos)
     )
+
+
+def _measure_linkage(arguments: argparse.Namespace, robot: Robot) -> int:
+    """Step the servo of a joint, whose angles a person types, and write the table."""
+    from lss_motion.cli.linkage import LinkageControls
+    from lss_motion.playing.hands_on import HandsOn
+    from lss_motion.robot.mechanisms import require_measurable
+
+    require_measurable(robot, arguments.linkage)
+    servos = robot.servo_robot
+    hands_on = HandsOn(servos, [arguments.linkage], needs_frame=False)
+    servos.require_turns(hands_on.servos)
+    return run_command(arguments, hands_on, LinkageControls(robot, arguments.linkage))
 
 
 def _require_own_readings(hands_on: HandsOn) -> None:

@@ -335,7 +335,8 @@ def _write_sketch(show: Show, output: Path) -> None:
     from lss_motion.planning.program.arduino import header_name, sketch
     from lss_motion.playing.player.handshake import session_commands
 
-    joints = [show.robot.joints[name] for name in show.program.start_deg]
+    servos = show.robot.servo_robot.joints
+    joints = [servos[name] for name in show.program.start_deg]
     made = sketch(show.program, show.robot, session_commands(joints), output)
     header = output.with_name(header_name(output))
     write_output(header, made.header)

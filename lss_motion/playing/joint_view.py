@@ -29,8 +29,9 @@ class JointView:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._by_servo = {s: m for m in robot.mechanisms.values() for s in m.servos}
-        self._by_joint = {j: m for m in robot.mechanisms.values() for j in m.joints}
+        known = robot.mechanisms.values() if robot.servos else ()
+        self._by_servo = {servo: one for one in known for servo in one.servos}
+        self._by_joint = {joint: one for one in known for joint in one.joints}
 
     @property
     def is_plain(self) -> bool:

@@ -13,10 +13,12 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
 from lss_motion.files.texts import counted, known_names
+from lss_motion.robot.mechanism import Mechanism
 from lss_motion.robot.transmission import (
     POINTS_MIN,
     SLOPE_MIN,
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.file import JointEntry, MechanismEntry
     from lss_motion.robot.linkage_file import LinkageEntry
-    from lss_motion.robot.mechanism import Mechanism
     from lss_motion.robot.model import Joint, Robot
 
     FloatArray = NDArray[np.float64]
@@ -241,6 +242,62 @@ def unevenness(mechanism: Mechanism, joint: Joint, servo: Joint) -> str:
         f"{needed:.0f} deg/s² of the servo, which has {allowed:.0f}, so the joint is slower "
         f"there. `smooth_deg: {offer[0]:g}` would make it {offer[1]:.0f} deg/s²"
     )
+
+
+def require_measurable(robot: Robot, name: str) -> None:
+    """Raise `InputError` unless one servo moves the joint, behind nothing or behind a table."""
+    if name not in robot.joints:
+        raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
+    mechanism = next((one for one in robot.mechanisms.values() if name in one.joints), None)
+    if mechanism is None:
+        return
+    if mechanism.servos != (name,):
+        reason = f"is moved by mechanism {mechanism.name!r}, which is no table of one joint"
+    elif mechanism.kind == "ratio":
+        reason = "has a ratio; remove it to measure a table"
+    elif len(getattr(mechanism.transmission, "joint_points_deg", ())) >= POINTS_MIN:
+        reason = "has a four-bar, of which lengths are measured; remove it to measure a table"
+    else:
+        return
+    raise InputError(f"joint {name!r} {reason}", path=robot.path)
+
+
+class TableReport(Struct, frozen=True):
+    """What is to be known of measured points: how smooth they are, and what is wrong with them."""
+
+    lines: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def table_report(name: str, points: Sequence[tuple[float, float]], robot: Robot) -> TableReport:
+    """Return what measured points, joint and servo angles, are as the linkage of a joint."""
+    joint_deg = tuple(joint for joint, _ in points)
+    servo_deg = tuple(servo for _, servo in points)
+    if not points:
+        return TableReport((), ("nothing was measured",))
+    lines = []
+    for (low, from_deg), (high, to_deg) in itertools.pairwise(points):
+        slope = (to_deg - from_deg) / (high - low)
+        lines.append(
+            f"{name} {low:zg} to {high:zg} deg: servo {from_deg:z.1f} to {to_deg:z.1f}, "
+            f"{slope:.2f} deg for 1 deg"
+        )
+    ends = joint_deg[0], joint_deg[-1]
+    problems = [reason for _, reason in _table_problems(joint_deg, servo_deg, ends)]
+    if problems:
+        return TableReport(tuple(lines), tuple(problems))
+    curve = LinkageCurve(joint_deg, servo_deg)
+    if (turn_deg := curve.turn_deg()) is not None:
+        problems.append(_turn_text(joint_deg, servo_deg, turn_deg))
+        return TableReport(tuple(lines), tuple(problems))
+    mechanism = Mechanism(
+        name=name, kind="linkage", joints=(name,), servos=(name,), transmission=curve
+    )
+    joint = replace(robot.joints[name], position_min_deg=ends[0], position_max_deg=ends[1])
+    lines.append(f"{name}: {transmission_text(mechanism, {name: joint})}")
+    uneven = unevenness(mechanism, joint, robot.servo_robot.joints[name])
+    lines.append(f"warning: {uneven}" if uneven else "the table is smooth")
+    return TableReport(tuple(lines), ())
 
 
 def transmission_text(mechanism: Mechanism, joints: Mapping[str, Joint]) -> str:

@@ -15,6 +15,7 @@ from lss_motion.errors import InputError
 from lss_motion.files.output import write_output
 from lss_motion.files.source import read_data, text_of
 from lss_motion.files.yaml_edit import set_comment, set_values
+from lss_motion.files.yaml_text import WrittenValue, flow_text
 from lss_motion.robot.load import load_robot
 
 if TYPE_CHECKING:
@@ -124,6 +125,52 @@ def write_frames(
         expected=lambda _: replace(robot, joints=joints, servos=servos),
         by_hand=f"set {by_hand}",
     )
+
+
+def write_linkage(path: Path, name: str, points: Sequence[tuple[float, float]]) -> list[str]:
+    """Write measured points, joint and servo angles, as the linkage of a joint.
+
+    Its range becomes what was measured, where that is less or the joint had no linkage. Return what
+    a person should check now. Raises `InputError` as `write_response` does.
+    """
+    text, mark = _text_of(path)
+    robot = load_robot(path)
+    joint, is_new = robot.joints[name], name not in robot.mechanisms
+    columns = {"joint_deg": [one for one, _ in points], "servo_deg": [one for _, one in points]}
+    values = {key: WrittenValue(flow_text(column), column) for key, column in columns.items()}
+    changed = set_values(path, text, ("joints", name, "linkage"), values)
+    low, high = points[0][0], points[-1][0]
+    if not is_new:
+        low, high = max(low, joint.position_min_deg), min(high, joint.position_max_deg)
+    lines = [f"{path}: linkage of {name} written"]
+    if (low, high) != (joint.position_min_deg, joint.position_max_deg):
+        ends = [low, high]
+        range_deg = {"range_deg": WrittenValue(flow_text(ends), ends)}
+        changed = set_values(path, changed, ("joints", name), range_deg)
+        lines.append(f"range_deg of {name} is now {low:g} to {high:g}, degrees of the joint")
+    if is_new:
+        lines.append(
+            f"speed_max_deg_s and accel_max_deg_s2 of {name} are now in degrees of the joint, "
+            f"those of its servo under `servo`; `lss-motion check {path}` prints both"
+        )
+
+    def expected(made: Robot) -> Robot:
+        servos = {**robot.servo_robot.joints, name: made.servos[name]}
+        return replace(
+            robot,
+            joints={**robot.joints, name: made.joints[name]},
+            servos=servos,
+            mechanisms={**robot.mechanisms, name: made.mechanisms[name]},
+        )
+
+    _replace(
+        mark + changed.encode("utf-8"),
+        path,
+        source=path,
+        expected=expected,
+        by_hand=f"joint {name!r}: add `linkage: {flow_text(columns)}` to it",
+    )
+    return lines
 
 
 def _text_of(path: Path) -> tuple[str, bytes]:

@@ -126,15 +126,16 @@ def _check(program: Program, joints: Sequence[Joint], path: Path) -> None:
     if len({joint.bus for joint in joints}) > 1:
         raise InputError("a sketch plays one bus only; the show uses more", path=path)
     for joint in joints:
+        if joint.model.family is not Family.LSS:
+            raise InputError(
+                f"joint {joint.name!r} is a {joint.model.family} servo; the library of a sketch is "
+                "for LSS. Leave it out of this show, or play the show with lss-play",
+                path=path,
+            )
         if joint.name in program.drives:
             raise InputError(
                 f"joint {joint.name!r} is {program.drives[joint.name].drive}; a sketch plays "
                 "`drive: timed` only",
-                path=path,
-            )
-        if joint.model.family is not Family.LSS:
-            raise InputError(
-                f"joint {joint.name!r} is a {joint.model.family} servo; the library is for LSS",
                 path=path,
             )
     if program.pass_s > DURATION_MAX_S:

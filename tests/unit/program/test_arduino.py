@@ -6,6 +6,7 @@ writes what `genericWrite` is documented to write. Its clock advances when it is
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from msgspec.structs import replace
 
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
+from lss_motion.planning import shows
 from lss_motion.planning.program.arduino import sketch
 from lss_motion.planning.program.model import Repeat
 from lss_motion.planning.program.text import load_program
@@ -24,6 +26,7 @@ from lss_motion.playing.run import perform
 from lss_motion.robot.load import load_robot
 from lss_motion.show.model import Cue
 from lss_motion.sim.bus import bus_from_robot
+from tests.unit.robot.test_mechanisms import HEAD, eyes_csv
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -227,6 +230,46 @@ def test_the_horns_do_by_the_sketch_what_they_do_by_lss_play(folder) -> None:
         played_deg = truth.horn_deg[in_show, column]
         assert np.ptp(played_deg) > 30.0
         np.testing.assert_allclose(own_deg, played_deg, atol=HORNS_DEG)
+
+
+@needs_compiler
+def test_the_sketch_of_a_robot_with_mechanisms_moves_its_servos(folder) -> None:
+    """Gears, linkages, a differential, a pair and a table are moves of servos in the sketch."""
+    (folder / "eyes.csv").write_text(eyes_csv(), encoding="utf-8")
+    (folder / "robot.yaml").write_text(HEAD, encoding="utf-8")
+    joints = ["turret", "jaw", "lid", "tilt", "roll", "arm", "yaw", "pitch"]
+    there = dict(zip(joints, (30, 22, 50, 20, 10, 60, 25, -15), strict=True))
+    frames = [
+        {"at_s": 0, "deg": dict.fromkeys(joints, 0)},
+        {"at_s": 1, "deg": there},
+        {"at_s": 2.4, "deg": dict.fromkeys(joints, 0)},
+    ]
+    show = {"sequence": "nod", "robot": "robot.yaml", "keyframes": frames}
+    (folder / "show.yaml").write_text(json.dumps(show), encoding="utf-8")
+    ino = folder / "nod.ino"
+    assert main(["export", str(folder / "show.yaml"), "-o", str(ino)]) == 0
+    sent = run(folder, ino)
+    made = shows.prepare(folder / "show.yaml", None)
+    program, robot = made.program, made.robot
+    shown = [text for _, text in sent if "T" in text][len(robot.servos) :]
+    assert shown == [move.data.decode().strip() for move in program.moves]
+    bus = bus_from_robot(robot.servo_robot, "main")
+    bus.record()
+    for at_us, text in sent:
+        bus.write(f"{text}\r".encode(), 1000 * at_us)
+    bus.advance(10**9 + 1000 * sent[-1][0])
+    first = program.moves[0]
+    first_us = next(at_us for at_us, text in sent if text == first.data.decode().strip())
+    truth = perform(program, robot, is_virtual=True, has_feedback=False).truth
+    times_s = truth.times_s[(truth.times_s > 0.1) & (truth.times_s < program.duration_s)]
+    instants_ns = 1e3 * (first_us - first.due_us) + 1e9 * times_s
+    servo_deg = bus.horn_deg(instants_ns.astype(np.int64).tolist())
+    for column, servo in enumerate(robot.servos.values()):
+        played_deg = truth.horn_deg[:, truth.joints.index(f"servo:{servo.name}")]
+        own_deg = np.array([servo.joint_deg(deg) for deg in servo_deg[:, column].tolist()])
+        assert np.ptp(own_deg) > 10.0, servo.name
+        played_deg = np.interp(times_s, truth.times_s, played_deg)
+        assert np.abs(own_deg - played_deg).max() < 2.0 * HORNS_DEG, servo.name
 
 
 @pytest.mark.slow
