@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lss_motion.planning.program.compile import PREROLL_S, compile_program
 from lss_motion.planning.program.drives import late_max_s
+from lss_motion.planning.program.fit import RIVALRY_S, TIGHT_TURN_S
 from lss_motion.planning.program.line import LineSchedule, line_use
 from lss_motion.planning.program.model import received_us
 from lss_motion.planning.program.move_table import moves_of, sizes_bytes
@@ -120,6 +122,88 @@ def test_every_command_is_due_inside_its_window_and_alone_on_its_line(seed, coun
     sizes_us = [-(-line_time_ns(len(move.data), baud_bps) // 1000) for move in moves]
     slots_us = [(move.due_us, size_us) for move, size_us in zip(moves, sizes_us, strict=True)]
     assert line_use("main", baud_bps, slots_us).overlaps == 0
+
+
+def on_two_lines(robot):
+    """Return the robot with its joints on two lines in turn."""
+    buses = {name: replace(robot.buses["main"], name=name) for name in ("left", "right")}
+    joints = {
+        name: replace(joint, bus=("left", "right")[index % 2])
+        for index, (name, joint) in enumerate(robot.joints.items())
+    }
+    return replace(robot, buses=buses, joints=joints)
+
+
+@LAWS
+@given(seeds, st.integers(6, 24), st.sampled_from([57_600, 115_200]))
+def test_a_line_does_not_wait_for_another(seed, count, baud_bps):
+    robot = on_two_lines(robot_of(count, baud_bps))
+    references = references_of(robot, seed)
+    for turn_s in (RIVALRY_S, TIGHT_TURN_S):
+        both = Schedule(references, robot, 0.2, turn_s=turn_s).fitted
+        for bus in robot.buses:
+            names = [name for name, joint in robot.joints.items() if joint.bus == bus]
+            own = {name: references[name] for name in names}
+            alone = Schedule(own, robot, 0.2, turn_s=turn_s).fitted
+            for name in names:
+                assert both[name].received_s.tolist() == alone[name].received_s.tolist()
+                assert both[name].target_wire.tolist() == alone[name].target_wire.tolist()
+
+
+def lively(robot, seed):
+    """Return references that swing for 3 s, rest for 3 s, and make one slow move."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(-PREROLL_S, 9.0, GRID_S)
+    swings = (time_s > 0.0) * (time_s < 3.0) * np.sin(np.pi * np.clip(time_s, 0.0, 3.0) / 3.0) ** 2
+    slow = np.sin(np.pi * np.clip(time_s - 6.0, 0.0, 2.0) / 4.0) ** 2
+    return {
+        name: Reference(
+            start_s=-PREROLL_S,
+            position_deg=12.0 * swings * np.sin(random.uniform(6.0, 9.0) * time_s) + 10.0 * slow,
+        )
+        for name in robot.joints
+    }
+
+
+@settings(LAWS, max_examples=settings().max_examples // 8)
+@given(seeds)
+@example(seed=0)
+@example(seed=1)
+def test_only_where_commands_were_late_are_they_placed_in_order(seed):
+    """A calm part after a crowded one is as on a free line, and the crowded one fits."""
+    robot = robot_of(34, 115_200)
+    references = lively(robot, seed)
+    crowd = Schedule(references, robot, 0.2, turn_s=RIVALRY_S)
+    free = Schedule({"j0": references["j0"]}, robot, 0.2, turn_s=RIVALRY_S)
+    ordered = Schedule(references, robot, 0.2, turn_s=TIGHT_TURN_S)
+    assert crowd.is_tight <= ordered.is_tight
+    own_s, free_s = crowd.fitted["j0"].received_s, free.fitted["j0"].received_s
+    assert own_s[own_s > 5.0].tolist() == pytest.approx(free_s[free_s > 5.0], abs=0.2)
+
+
+@LAWS
+@given(seeds, st.integers(2, 14))
+def test_joints_that_are_kept_have_the_same_moves_and_the_others_the_rest_of_the_line(seed, count):
+    robot = robot_of(count, 115_200)
+    references = references_of(robot, seed)
+    first = Schedule(references, robot, 0.2)
+    kept = {name: one for name, one in first.fitted.items() if name != "j1"}
+    again = Schedule(references, robot, 0.2, ratios={"j1": 0.6}, kept=kept)
+    assert all(again.fitted[name] is one for name, one in kept.items())
+    narrow_deg, wide_deg = (
+        np.abs(
+            each.fitted["j1"].profile.on_grid(
+                -PREROLL_S, GRID_S, len(references["j1"].position_deg)
+            )
+            - references["j1"].position_deg
+        ).max()
+        for each in (again, first)
+    )
+    assert narrow_deg <= wide_deg + 0.1
+    moves = moves_of(again.fitted, robot)
+    sizes_us = [-(-line_time_ns(len(move.data), 115_200) // 1000) for move in moves]
+    slots_us = [(move.due_us, size_us) for move, size_us in zip(moves, sizes_us, strict=True)]
+    assert line_use("main", 115_200, slots_us).overlaps == 0
 
 
 def show_of(robot, seed):

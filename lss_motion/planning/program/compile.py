@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.files.texts import counted
-from lss_motion.planning.program.accuracy import horn_errors
+from lss_motion.planning.program.accuracy import HornError, horn_errors
 from lss_motion.planning.program.drives import choices
 from lss_motion.planning.program.mates import fights
 from lss_motion.planning.program.model import TOLERANCE_DEG, Program, Repeat, driving_of
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from lss_motion.planning.program.drives import Choice
     from lss_motion.planning.program.line import LineUse
     from lss_motion.planning.program.model import Move
+    from lss_motion.planning.program.moves import FittedJoint
     from lss_motion.robot.model import Joint
     from lss_motion.show.model import Cue
 
@@ -113,35 +114,50 @@ def compile_program(
                 continue
             fit = partial(candidate.schedule, references, tolerance_deg, seams_s)
             again = partial(finish, choice, references)
-            return _recovered(program, choice.robot, lambda ratios: again(fit(ratios)))  # noqa: B023
+            return _recovered(_Compiled(program, schedule), choice.robot, fit, again)
     assert problem is not None
     raise problem
 
 
+class _Compiled(NamedTuple):
+    program: Program
+    schedule: Schedule
+
+
 def _recovered(
-    program: Program, robot: Robot, again: Callable[[Mapping[str, float]], Program]
+    first: _Compiled,
+    robot: Robot,
+    fit: Callable[[Mapping[str, float], Mapping[str, FittedJoint]], Schedule],
+    finish: Callable[[Schedule, _Compiled], Program],
 ) -> Program:
     """Return the program in which the horns of joints that lose their plan lose it least.
 
     A choice of moves can end where no move regains the plan. With a slightly different tolerance
-    the choice takes another way. `again` compiles with the tolerances of single joints multiplied.
+    the choice takes another way. `fit` multiplies the tolerances of those joints, and keeps the
+    moves of all others where the line has room between them; `finish` keeps the errors of these.
     """
-    best, found = program, program
+    best, found = first.program, first
     ratios: dict[str, float] = {}
     for ratio in RECOVERY_RATIOS:
-        lost = _lost(found, robot)
+        lost = _lost(found.program, robot)
         if not lost:
-            return found
+            break
         ratios |= dict.fromkeys(lost, ratio)
+        others = {name: one for name, one in found.schedule.fitted.items() if name not in lost}
         try:
-            found = again(ratios)
-            verify_program(found, robot)
+            try:
+                schedule = fit(ratios, others)
+            except TooLateError:
+                schedule = fit(ratios, {})
+            found = _Compiled(finish(schedule, found), schedule)
+            if any(_lacks_readings(use, robot) for use in found.program.line_use.values()):
+                break
+            left = max(_lost(found.program, robot).values(), default=0.0)
+            if left < max(_lost(best, robot).values()):
+                verify_program(found.program, robot)
+                best = found.program
         except (TooLateError, LineLoadError):
-            return best
-        if any(_lacks_readings(use, robot) for use in found.line_use.values()):
-            return best
-        if max(_lost(found, robot).values(), default=0.0) < max(_lost(best, robot).values()):
-            best = found
+            break
     return best
 
 
@@ -292,11 +308,15 @@ def _program(
     choice: Choice,
     references: Mapping[str, Reference],
     schedule: Schedule,
+    before: _Compiled | None = None,
     *,
     led: Mapping[str, tuple[str, ...]],
     repeat: Repeat | None,
 ) -> Program:
-    """Return the program of the motion of servos, and of the joints that it was made of."""
+    """Return the program of the motion of servos, and of the joints that it was made of.
+
+    `before`: one of the same plan, with the errors of joints that kept their moves.
+    """
     trajectory, joints = motions
     robot = choice.robot
     moves: Sequence[Move] = moves_of(schedule.fitted, robot)
@@ -304,7 +324,7 @@ def _program(
     if repeat is not None:
         rest = () if repeat.times is None else moves[_first_from(moves, repeat.to_us) :]
         moves = (*closed_pass(moves, repeat, robot), *rest)
-    errors = horn_errors(schedule.fitted, references, robot.joints, schedule.tolerance_deg)
+    errors = _errors(schedule, references, robot, before)
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s
     if repeat is not None and repeat.times is None:
@@ -331,6 +351,26 @@ def _program(
         bound_deg={name: error.bound_deg for name, error in errors.items()},
         fight_deg=fights(schedule.fitted, references, robot),
     )
+
+
+def _errors(
+    schedule: Schedule,
+    references: Mapping[str, Reference],
+    robot: Robot,
+    before: _Compiled | None,
+) -> dict[str, HornError]:
+    """Return the errors of all horns; those of joints that kept their moves are known."""
+    known: dict[str, HornError] = {}
+    if before is not None:
+        program, old = before.program, before.schedule.fitted
+        known = {
+            name: HornError(program.error_max_deg[name], program.bound_deg[name])
+            for name, one in schedule.fitted.items()
+            if one is old[name]
+        }
+    new = {name: one for name, one in schedule.fitted.items() if name not in known}
+    found = known | horn_errors(new, references, robot.joints, schedule.tolerance_deg)
+    return {name: found[name] for name in schedule.fitted}
 
 
 def _first_from(moves: Sequence[Move], from_us: int) -> int:

@@ -65,6 +65,9 @@ SEGMENTS_MAX: Final = 2048
 NEVER: Final = 2**62
 """The index of a stop that never comes."""
 
+TIGHT_TURN_S: Final = 0.02
+"""Where some command was late when moves were not ordered, commands are placed strictly in the
+order of time: a third more of them fit, in two to three times the time."""
 TURN_S: Final = 0.1
 """A move waits for the moves of its part that are requested this much earlier. Slots are then given
 away in the order of time, and no move is delayed by one that is requested later."""
@@ -102,36 +105,43 @@ def _concatenated(one: _SegmentRows, other: _SegmentRows) -> _SegmentRows:
     )
 
 
-def _is_next(requested_s: FloatArray, turn_s: float) -> BoolArray:
-    """Return which moves to grant now: those with no request of the same part a turn earlier."""
+def _is_next(requested_s: FloatArray, line: IntArray, turn_s: float) -> BoolArray:
+    """Return which moves to grant now: those with no request of the same part a turn earlier.
+
+    Moves on other lines belong to other parts.
+    """
     if turn_s >= RIVALRY_S:
         return np.ones(len(requested_s), dtype=bool)
-    ordered = np.sort(requested_s)
-    earlier = np.searchsorted(ordered, requested_s - turn_s)
-    rivals = np.searchsorted(ordered, requested_s - RIVALRY_S)
+    span_s = RIVALRY_S + np.ptp(requested_s) if len(requested_s) else 0.0
+    along_s = requested_s + 2.0 * span_s * line
+    ordered = np.sort(along_s)
+    earlier = np.searchsorted(ordered, along_s - turn_s)
+    rivals = np.searchsorted(ordered, along_s - RIVALRY_S)
     is_next: BoolArray = earlier == rivals
     return is_next
 
 
 class FitProblem(Struct, frozen=True, kw_only=True):
-    """What all segments share. `seams` are indices of the grid; `turn_s`: see `TURN_S`."""
+    """What all segments share: `seams` are indices of the grid, `line` the lines of the joints."""
 
     references: References
     limits: LimitArrays
     seams: IntArray
-    turn_s: float
+    line: IntArray
 
 
 class SegmentRun:
     """One run of all segments from their first move to their last."""
 
-    def __init__(self, problem: FitProblem, segments: Sequence[Segment], grant: Grant) -> None:
+    def __init__(
+        self, problem: FitProblem, segments: Sequence[Segment], grant: Grant, turn_s: float
+    ) -> None:
         self._references, self._limits, self._seams = (
             problem.references,
             problem.limits,
             problem.seams,
         )
-        self._grant, self._turn_s = grant, problem.turn_s
+        self._grant, self._line, self._turn_s = grant, problem.line, turn_s
         self._joint = np.array([segment.joint for segment in segments], dtype=np.intp)
         self._wire = np.array([segment.wire for segment in segments], dtype=np.float64)
         self._stop_wire = np.array([segment.stop_wire for segment in segments], dtype=np.float64)
@@ -142,6 +152,7 @@ class SegmentRun:
         self._segments = segments
         self._made: list[FittedMoves] = [no_moves()]
         self._of: list[IntArray] = [np.zeros(0, dtype=np.intp)]
+        self._late: list[tuple[IntArray, FloatArray]] = []
 
     def moves(self) -> tuple[FittedMoves, IntArray]:
         """Return the moves, in any order, and the segment of each."""
@@ -154,12 +165,27 @@ class SegmentRun:
                 # By joint: the data of neighbours then lies close together in memory.
                 by_joint = np.array(new)[np.argsort(self._joint[new], kind="stable")]
                 rows = _concatenated(rows, self._entered(by_joint))
-            is_next = _is_next(rows.requested_s, self._turn_s)
+            line = self._line[self._joint[rows.segment]]
+            is_next = _is_next(rows.requested_s, line, self._turn_s)
             if is_next.all():
                 rows = self._advanced(rows)
             else:
                 rows = _concatenated(rows.take(~is_next), self._advanced(rows.take(is_next)))
         return concatenated(self._made), np.concatenate(self._of)
+
+    def crowded(self) -> BoolArray:
+        """Return which segments are under way where a command on their line was late."""
+        found = np.zeros(len(self._segments), dtype=bool)
+        if not self._late:
+            return found
+        lines, times_s = (np.concatenate(column) for column in zip(*self._late, strict=True))
+        begins_s = self._after_s - RIVALRY_S
+        ends_s = self._references.times_s(self._stop_last) + RIVALRY_S
+        for line in np.unique(lines):
+            late_s = np.sort(times_s[lines == line])
+            is_near = np.searchsorted(late_s, begins_s) < np.searchsorted(late_s, ends_s)
+            found |= is_near & (self._line[self._joint] == line)
+        return found
 
     def _entered(self, segment: IntArray) -> _SegmentRows:
         """Return segments that wait for their first move; they have no travel speed yet."""
@@ -170,11 +196,14 @@ class SegmentRun:
     def _advanced(self, rows: _SegmentRows) -> _SegmentRows:
         """Reserve slots for the next moves, quantize those under way, choose the moves after."""
         in_turn = np.argsort(rows.requested_s, kind="stable")
-        granted_us = self._grant(
+        joint, requested_us = (
             self._joint[rows.segment[in_turn]],
             microseconds(rows.requested_s[in_turn]),
-            microseconds(rows.state.time_s[in_turn]),
         )
+        granted_us = self._grant(joint, requested_us, microseconds(rows.state.time_s[in_turn]))
+        is_late = granted_us > requested_us
+        if is_late.any():
+            self._late.append((self._line[joint[is_late]], requested_us[is_late] / US_PER_S))
         granted_s = np.empty(len(in_turn))
         granted_s[in_turn] = granted_us / US_PER_S
         is_new = np.isnan(rows.travel_deg_s)
@@ -338,13 +367,16 @@ class TimedFit:
         seams_s: Sequence[float] = (),
         initial: Sequence[InitialMotion] = (),
         turn_s: float = TURN_S,
+        lines: Sequence[int] = (),
     ) -> None:
         """Take references on one grid, and the seams at which a moving reference needs a move.
 
         A move is received at or shortly before each seam, so that the moves between two seams can
         be repeated without end. Without `initial`, one motion a reference, all servos stand where
         their references do. A shorter turn fills the line better and takes longer to fit; with
-        `RIVALRY_S` no move waits for another.
+        `RIVALRY_S` no move waits for another, except around those that come late then: there,
+        all are placed anew with `TIGHT_TURN_S`. `lines` numbers the line of each reference; all are
+        on one without it.
         """
         self._each = list(
             zip(references, limits, initial or (None,) * len(references), strict=True)
@@ -353,8 +385,9 @@ class TimedFit:
             references=References(references, limits),
             limits=LimitArrays(limits),
             seams=np.array(sorted(references[0].index(s) for s in seams_s), dtype=np.intp),
-            turn_s=turn_s,
+            line=np.array(lines or (0,) * len(references), dtype=np.intp),
         )
+        self._turn_s = turn_s
 
     def moves(self, new_line: Callable[[], Grant]) -> FittedMoves:
         """Return the moves, by joint and time. `new_line` returns a free line for every run.
@@ -364,6 +397,7 @@ class TimedFit:
         that they have.
         """
         refused: set[tuple[int, int]] = set()
+        turn_s = self._turn_s
         references, limits, _ = zip(*self._each, strict=True)
         known, made, of_segment = given_moves(references, limits, self._segments(refused), new_line)
         while True:
@@ -374,7 +408,13 @@ class TimedFit:
             new = [segment for segment in segments if segment not in before]
             grant, received_us = new_line(), microseconds(made.received_s)
             grant(made.joint, received_us, received_us)
-            found, of_new = SegmentRun(self._problem, new, grant).moves()
+            run = SegmentRun(self._problem, new, grant, turn_s)
+            found, of_new = run.moves()
+            is_whole = True
+            if turn_s >= RIVALRY_S and (crowded := run.crowded()).any():
+                turn_s, is_whole, is_free = TIGHT_TURN_S, False, ~crowded[of_new]
+                found, of_new = found.take(is_free), (np.cumsum(~crowded) - 1)[of_new[is_free]]
+                new = [one for one, is_late in zip(new, crowded, strict=True) if not is_late]
             made, of_segment = (
                 concatenated((made, found)),
                 np.append(of_segment, len(known) + of_new),
@@ -386,7 +426,7 @@ class TimedFit:
                 known[segment]
                 for segment in of_segment[discontinuities(made, self._problem.limits)]
             ]
-            if not late:
+            if not late and is_whole:
                 return made
             stops = {(segment.joint, segment.first) for segment in late}
             assert not stops & refused, "a segment without stops always joins"

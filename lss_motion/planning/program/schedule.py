@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -17,7 +17,13 @@ from msgspec.structs import replace
 
 from lss_motion.errors import LineLoadError
 from lss_motion.planning.program.drives import late_max_s, make_fitter
-from lss_motion.planning.program.fit import RIVALRY_S, TURN_S, TimedFit
+from lss_motion.planning.program.fit import (
+    RIVALRY_S,
+    TIGHT_TURN_S,
+    TURN_S,
+    TimedFit,
+    microseconds,
+)
 from lss_motion.planning.program.line import LineSchedule, longest_move, sent_us
 from lss_motion.planning.program.mates import lead_s, mated, mates_of
 from lss_motion.planning.program.model import Move
@@ -39,9 +45,6 @@ if TYPE_CHECKING:
 
 RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
 """The factors by which the tolerance is relaxed, in this order, when the line is too slow."""
-TIGHT_TURN_S: Final = 0.02
-"""If some command was late when moves were not ordered, commands are placed strictly in the order
-of time: a third more of them fit, in two to three times the time."""
 SLOWEST_SHARED_BPS: Final = 115_200
 """The usual rate (FACTS.md W23: the default of every library). A slower line has a fit of its own;
 otherwise the usual rate would have moves further from the instants requested."""
@@ -81,15 +84,16 @@ class Schedule:
         initial: Mapping[str, InitialMotion] | None = None,
         lines: Mapping[str, LineSchedule] | None = None,
         turn_s: float = TURN_S,
-        gives_up: Literal["late", "tight"] | None = None,
+        gives_up: bool = False,
         ratios: Mapping[str, float] | None = None,
+        kept: Mapping[str, FittedJoint] | None = None,
     ) -> None:
         """Fit `references`, all on one grid; `seams_s`, `initial`, `turn_s` as for `TimedFit`.
 
-        `ratios` multiplies the tolerance of single timed joints.
-        `initial` holds timed joints only. `lines` holds the slots that are reserved already; no
-        move is due before the references begin. With `gives_up`, raises `TooLateError` as soon as a
-        command is late; `"tight"`: later than its drive allows.
+        `ratios` multiplies the tolerance of single timed joints. `kept` holds joints that stay as
+        another schedule of the same lines has them. `initial` holds timed joints only. `lines`
+        holds the slots that are reserved already; no move is due before the references begin. With
+        `gives_up`, raises `TooLateError` as soon as a command is later than its drive allows.
         """
         self.tolerance_deg = tolerance_deg
         self.fitted: dict[str, FittedJoint] = {}
@@ -112,15 +116,17 @@ class Schedule:
             )
             for name in fitted
         }
+        self._keep({name: one for name, one in (kept or {}).items() if name in fitted})
+        left = {name: one for name, one in fitted.items() if name not in self.fitted}
         for drive in ("streamed", "stepped"):
             self._fit_each(
                 {
                     name: make_fitter(robot.joints[name], reference, tolerance_deg, seams_s)
-                    for name, reference in fitted.items()
+                    for name, reference in left.items()
                     if robot.joints[name].drive == drive
                 }
             )
-        timed = [robot.joints[name] for name in fitted if robot.joints[name].drive == "timed"]
+        timed = [robot.joints[name] for name in left if robot.joints[name].drive == "timed"]
         if timed:
             self._fit_timed(timed, references, tolerance_deg, seams_s)
         for leader, names in mates.items():
@@ -130,6 +136,17 @@ class Schedule:
                 self.fitted[name] = mated(
                     own, self.fitted[leader], robot.joints[name], references[name], count * step_s
                 )
+
+    def _keep(self, kept: Mapping[str, FittedJoint]) -> None:
+        """Take the fits of joints as they are, with the slots that they have."""
+        if not kept:
+            return
+        grant = self._grant_of(list(kept))
+        joint = np.repeat(np.arange(len(kept)), [len(one.received_s) for one in kept.values()])
+        received_us = microseconds(np.concatenate([one.received_s for one in kept.values()]))
+        in_turn = np.argsort(received_us, kind="stable")
+        grant(joint[in_turn], received_us[in_turn], received_us[in_turn])
+        self.fitted |= kept
 
     def _fit_each(self, fitters: Mapping[str, JointFitter]) -> None:
         """Grant the commands of the fitters one by one, in the order of the instants requested."""
@@ -177,7 +194,8 @@ class Schedule:
             for joint in joints
         ]
         initial = [self._initial[name] for name in names if name in self._initial]
-        moves = TimedFit(own, limits, seams_s, initial, self._turn_s).moves(new_line)
+        lines = [list(self._lines).index(joint.bus) for joint in joints]
+        moves = TimedFit(own, limits, seams_s, initial, self._turn_s, lines).moves(new_line)
         made = fitted_profiles(moves, own, limits, initial)
         for index, (name, profile) in enumerate(zip(names, made, strict=True)):
             some = moves.of(index)
@@ -221,7 +239,7 @@ class Schedule:
         """Record by how much moves are late, 0 for none, and whether a drive allows less."""
         self.late_max_us = max(self.late_max_us, late_us)
         self.is_tight = self.is_tight or is_tight
-        if self._gives_up is not None and (self.is_tight or (late_us and self._gives_up == "late")):
+        if self._gives_up and self.is_tight:
             raise TooLateError
 
 
@@ -236,7 +254,7 @@ class Candidate(Struct, frozen=True):
     robot: Robot
     ratio: float
     turn_s: float
-    gives_up: Literal["late", "tight"] | None
+    gives_up: bool
 
     def schedule(
         self,
@@ -244,6 +262,7 @@ class Candidate(Struct, frozen=True):
         tolerance_deg: float,
         seams_s: Sequence[float],
         ratios: Mapping[str, float] | None = None,
+        kept: Mapping[str, FittedJoint] | None = None,
     ) -> Schedule:
         """Return the schedule of this candidate; raises `TooLateError` as `Schedule` does."""
         return Schedule(
@@ -254,6 +273,7 @@ class Candidate(Struct, frozen=True):
             turn_s=self.turn_s,
             gives_up=self.gives_up,
             ratios=ratios,
+            kept=kept,
         )
 
 
@@ -279,12 +299,12 @@ def candidates(robot: Robot, *, with_relaxed: bool) -> Iterator[Candidate]:
     for rate in [*rates, fastest_bps]:
         buses = {n: replace(b, baud_bps=min(b.baud_bps, rate)) for n, b in robot.buses.items()}
         paced = replace(robot, buses=buses)
-        yield Candidate(paced, 1.0, RIVALRY_S, "late")
-        yield Candidate(paced, 1.0, TIGHT_TURN_S, "tight")
+        yield Candidate(paced, 1.0, RIVALRY_S, gives_up=False)
+        yield Candidate(paced, 1.0, TIGHT_TURN_S, gives_up=True)
     if with_relaxed:
         for ratio in RELAXED_RATIOS[1:]:
             is_last = ratio == RELAXED_RATIOS[-1]
-            yield Candidate(robot, ratio, TIGHT_TURN_S, None if is_last else "tight")
+            yield Candidate(robot, ratio, TIGHT_TURN_S, gives_up=not is_last)
 
 
 def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Move]:
