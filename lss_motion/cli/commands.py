@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from lss_motion.planning.shows import Show
     from lss_motion.robot.model import Robot
+    from lss_motion.sim.deviation import Deviation
 
     Commands: TypeAlias = "argparse._SubParsersAction[SubcommandParser]"  # noqa: SLF001
     """The type that `add_subparsers` returns; argparse has no public name for it."""
@@ -204,6 +205,19 @@ def robot_at(path: Path, port: str | None) -> Robot:
     from lss_motion.robot.load import load_robot
 
     return with_port(load_robot(path), port)
+
+
+def deviation_of(arguments: argparse.Namespace, robot: Robot) -> Deviation | None:
+    """Return how `--sim` makes the servos of `robot` differ; raises `InputError` on a real port."""
+    from lss_motion.playing.connection import is_simulated
+
+    if arguments.sim is None:
+        return None
+    if not is_simulated(robot):
+        raise InputError("--sim needs the simulated bus: use it with --port sim://")
+    from lss_motion.sim.deviation import read_deviation
+
+    return read_deviation(arguments.sim, robot)
 
 
 def prepared(

@@ -6,9 +6,15 @@ import sys
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import SIMULATED_NOTE, add_command, require_joint, robot_at
+from lss_motion.cli.commands import (
+    SIMULATED_NOTE,
+    add_command,
+    deviation_of,
+    require_joint,
+    robot_at,
+)
 from lss_motion.cli.messages import StepLine, agrees, ended_by, say
 from lss_motion.cli.options import add_options, number_from
 from lss_motion.errors import (
@@ -40,6 +46,8 @@ Measure the response of servos with small moves, one joint after the other.
   lss-motion identify --robot my_robot.yaml elbow wrist --span-deg 30 --yes
   lss-motion identify --robot my_robot.yaml elbow -o measured.yaml
   lss-motion identify --robot my_robot.yaml --from show.log        from a show that was played
+  lss-motion identify --robot my_robot.yaml elbow --port sim:// --virtual --no-write \
+      --sim t_law=exact,droop=3deg               practise it on a servo that is not as assumed
 
 It measures the delay of replies, the dead time and the lag of the horn, the period at which the
 servo applies commands, the start of a new command in mid-move, the meaning of T, ramps and top
@@ -87,7 +95,7 @@ def add_to(commands: Commands) -> None:
     add_options(added, "--output", help="write a copy, not the robot file")
     add_options(added, "--force")
     added.add_argument("--no-write", action="store_true", help="print the result, write nothing")
-    add_options(added, "--virtual", "--seed")
+    add_options(added, "--virtual", "--seed", "--sim")
 
 
 def _identify(arguments: argparse.Namespace) -> int:
@@ -106,11 +114,13 @@ def _identify(arguments: argparse.Namespace) -> int:
     joints = [measurable(robot, name) for name in dict.fromkeys(arguments.joints)]
     simulated = is_simulated(robot)
     _check(arguments, simulated=simulated)
+    deviation = deviation_of(arguments, robot.servo_robot)
     if simulated:
         say(SIMULATED_NOTE)
     buses = {name: robot.buses[name] for name in {joint.bus for joint in joints}}
     clock = VirtualClock() if arguments.virtual else MonotonicClock()
-    with connect(buses, robot=robot, clock=clock, seed=arguments.seed) as connection:
+    options: dict[str, Any] = {"robot": robot, "clock": clock, "seed": arguments.seed}
+    with connect(buses, **options, deviation=deviation) as connection:
         _announce(connection, robot, joints, span_deg)
         if not (simulated or arguments.yes or agrees(BEGIN)):
             say("nothing was moved")
@@ -183,6 +193,7 @@ def _check_from_log(arguments: argparse.Namespace) -> None:
         ("--port", arguments.port is not None),
         ("--span-deg", arguments.span_deg is not None),
         ("--virtual", arguments.virtual),
+        ("--sim", arguments.sim is not None),
         ("--yes", arguments.yes),
     ):
         if is_given:

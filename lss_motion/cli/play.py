@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from lss_motion.cli.careful import Learning, careful_run, run_carefully
-from lss_motion.cli.commands import Parser, add_command, add_version, prepared
+from lss_motion.cli.commands import Parser, add_command, add_version, deviation_of, prepared
 from lss_motion.cli.dialog import (
     Confirmation,
     agreed_modules,
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from lss_motion.playing.sound_choice import SoundChoice, SoundReport
     from lss_motion.robot.model import Robot
     from lss_motion.show.functions import ModuleSource
-    from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
     from lss_motion.stage.timecode.source import TimecodeOut, TimecodeSource
     from lss_motion.stage.timecode.timecode import FollowSpec, SendSpec
@@ -200,7 +199,7 @@ def play(arguments: argparse.Namespace) -> int:
 
     def careful() -> int:
         print_line = discard if arguments.quiet else put
-        faults, deviation = _faults(arguments, servos), _deviation(arguments, servos)
+        faults, deviation = _faults(arguments, servos), deviation_of(arguments, servos)
         given = (arguments, servos, show.program.start_deg, learning, print_line)
         return careful_run(*given, faults=faults, deviation=deviation)
 
@@ -294,10 +293,7 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
         raise InputError("--truth needs the simulated bus: a real horn angle is not known exactly")
     if arguments.faults is not None and not is_simulated:
         raise InputError("--faults needs the simulated bus")
-    if arguments.sim is not None:
-        if not is_simulated:
-            raise InputError("--sim needs the simulated bus: use it with --port sim://")
-        _deviation(arguments, show.robot.servo_robot)
+    deviation_of(arguments, show.robot.servo_robot)
     if arguments.virtual and show.program.is_endless:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
     if arguments.start_s is not None:
@@ -362,7 +358,7 @@ def _perform(  # noqa: PLR0913  (what one run needs)
             trajectory=show.trajectory,
             observer=observer,
             faults=_faults(arguments, robot.servo_robot),
-            deviation=_deviation(arguments, robot.servo_robot),
+            deviation=deviation_of(arguments, robot.servo_robot),
             is_real_time=arguments.real_time,
             must_ask=is_asked,
             may_run=True,
@@ -400,14 +396,6 @@ def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
     from lss_motion.sim.faults import load_faults
 
     return load_faults(arguments.faults, robot)
-
-
-def _deviation(arguments: argparse.Namespace, robot: Robot) -> Deviation | None:
-    if arguments.sim is None:
-        return None
-    from lss_motion.sim.deviation import read_deviation
-
-    return read_deviation(arguments.sim, robot)
 
 
 def _write_results(arguments: argparse.Namespace, result: Result[Report]) -> list[str]:

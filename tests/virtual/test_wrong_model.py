@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from benches.random_logs import Tape
+from benches.random_logs import WRITTEN, Tally, Tape, laws, stated
 from lss_motion.cli.main import main
 from lss_motion.cli.play import main as play
 from lss_motion.errors import PlaybackError
+from lss_motion.maintenance.api import recordings_of
 from lss_motion.maintenance.identify.estimate import response_values
 from lss_motion.maintenance.identify.response_fit import Measured
 from lss_motion.maintenance.identify.show_fit import identify_from_show
 from lss_motion.maintenance.identify.show_pieces import TooLittleMotionError, recordings
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.trajectory.planner import plan
+from lss_motion.playing.log import read_log
 from lss_motion.playing.player.events import Warned
 from lss_motion.playing.run import Observer, perform
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.deviation import deviation_from_text
+from tests.tables import first_quick
 from tests.virtual.conftest import make_robot, make_sequence
 
 FIELDS = {
@@ -105,6 +110,55 @@ def test_the_log_of_a_show_tells_the_model_and_playing_with_it_is_better(sim, ex
     better = replace(robot, joints={"j0": replace(robot.joints["j0"], response=response)})
     after_deg = [played(sim, better, show, seed=seed)[1] for seed in range(3)]
     assert np.median(after_deg) < 0.8 * before_deg
+
+
+@pytest.mark.parametrize(
+    "sim", first_quick(["droop=4deg,ramp=0.6", "droop=4deg,ramp=0.6,lag=+60ms"])
+)
+def test_a_load_and_slow_ramps_together_are_told_apart(sim, tmp_path) -> None:
+    """The search for the parameters once ended beside them: `exact`, with a lag of 48 ± 5 ms."""
+    log = tmp_path / "show.log"
+    given = ["sequences/wave.yaml", "--virtual", "--sim", sim, "--log", str(log), "--quiet"]
+    assert play(given) == 0
+    robot = load_robot(Path("sequences/robots/desk_arm.yaml"))
+    found = identify_from_show(recordings_of(read_log(log), robot)["wrist"])
+    assert found.retarget == ("keep_speed", True)
+    assert found.t_law == ("cruise", True)
+    delay_s = 0.0225 + deviation_from_text(sim).lag_s
+    assert abs(found.delay_s.value - delay_s) < min(3.0 * found.delay_s.error, 0.004)
+    assert found.accel_deg_s2.value == pytest.approx(0.6 * 600.0, rel=0.02)
+
+
+RANDOM_SEEDS = 8
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_every_stated_error_holds_for_random_loads_ramps_lags_and_laws() -> None:
+    """Within one, two and three errors as often as they claim; no law that is sure is wrong."""
+    tally = Tally()
+    for seed in range(RANDOM_SEEDS):
+        random = Random(seed)
+        sim = (
+            f"droop={random.choice((-1, 1)) * random.uniform(1, 5):.1f}deg,"
+            f"ramp={math.exp(random.uniform(math.log(0.3), math.log(1.3))):.2f},"
+            f"lag={random.uniform(-10, 80):+.0f}ms,"
+            f"t_law={random.choice(('cruise', 'cruise', 'exact'))},"
+            f"retarget={random.choice(('keep_speed', 'keep_speed', 'from_rest'))}"
+        )
+        robot = make_robot(1, **FIELDS)
+        logged = played(sim, robot, make_sequence(1, 14.0, seed=seed, **QUICK), seed=seed)[0]
+        found = identify_from_show(recordings(logged, robot)["j0"])
+        deviation = deviation_from_text(sim)
+        for number in stated(found, robot.joints["j0"], deviation):
+            tally.numbers[number.what].append(number.sigmas)
+        for law, verdict in laws(found, deviation):
+            tally.laws[law][verdict] += 1
+    assert not any(verdicts["WRONG"] for verdicts in tally.laws.values())
+    written = np.abs([s for what in WRITTEN for s in tally.numbers[what]])
+    assert len(written) >= RANDOM_SEEDS
+    for most, share in ((1, 0.5), (2, 0.9), (3, 0.97)):
+        assert np.mean(written <= most) >= share, sorted(written)
 
 
 def test_a_joint_that_hardly_moves_and_one_that_is_held_are_named_and_not_measured() -> None:

@@ -87,6 +87,14 @@ def test_a_show_follows_many_times_better_with_what_was_identified(
         assert before_deg > better_ratio * after_deg
 
 
+def test_the_experiment_is_practised_on_a_servo_that_is_not_as_assumed(folder, capsys):
+    words = ["identify", "--robot", "robot.yaml", "pan", "--virtual", "--no-write"]
+    assert main([*words, "--sim", "t_law=exact,droop=3deg"]) == 0
+    said = capsys.readouterr().out
+    assert "t_law is exact, not cruise" in said
+    assert "its load pulls it by up to 3.0 deg" in said
+
+
 @pytest.mark.parametrize(
     ("words", "code", "text"),
     [
@@ -97,6 +105,8 @@ def test_a_show_follows_many_times_better_with_what_was_identified(
         (["pan", "--port", "/dev/does-not-exist"], 2, "add --yes"),
         (["pan", "--port", "/dev/does-not-exist", "--yes"], 4, "no such device"),
         (["pan", "--port", "/dev/x", "--virtual", "--yes"], 2, "--virtual needs the simulated"),
+        (["pan", "--port", "/dev/x", "--sim", "lag=+9ms", "--yes"], 2, "--sim needs the simulated"),
+        (["pan", "--sim", "lagg=+9ms"], 2, "'lagg' is no key here"),
     ],
 )
 def test_what_cannot_work_is_refused_before_anything_moves(folder, capsys, words, code, text):
