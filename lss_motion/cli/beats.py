@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,7 +43,6 @@ ROWS_MAX: Final = 12
 """A picture has up to so many rows of half a minute; those of longer music are longer."""
 WIDTH_IN: Final = 16.0
 DIGITS: Final = 3
-WIDTH: Final = 100
 
 
 def add_to(commands: Commands) -> None:
@@ -180,15 +178,10 @@ def _into(path: Path, at_s: FloatArray, *, is_anchored: bool) -> str:
     """Write the beats into a sequence file; return what was done."""
     from lss_motion.files.source import read_text
     from lss_motion.files.yaml_edit import set_values
-    from lss_motion.files.yaml_text import WrittenValue
+    from lss_motion.files.yaml_text import in_rows
 
     beats_s = [round(beat_s, DIGITS) for beat_s in at_s.tolist()]
-    listed = ", ".join(f"{beat_s:.{DIGITS}f}" for beat_s in beats_s)
-    rows = textwrap.wrap(listed, WIDTH - 4, break_long_words=False)
-    shown = "[\n    " + "\n    ".join(rows) + "\n  ]"
-    value = WrittenValue(shown, beats_s)
-    if is_anchored:
-        value = WrittenValue(f"{{at_s: {shown}, anchor: true}}", {"at_s": beats_s, "anchor": True})
+    value = in_rows({"at_s": beats_s, "anchor": True} if is_anchored else beats_s)
     write_output(path, set_values(path, read_text(path), (), {"beats": value}))
     return f"{path}: {counted(at_s, 'beat')}; at_beat: 1 is at {at_s[0]:g} s"
 

@@ -172,6 +172,22 @@ def write_output(
         raise InputError(f"cannot be written: {error.strerror or error}", path=path) from error
 
 
+def create_output(path: Path, text: str) -> None:
+    """Write a file that does not exist yet, or raise `InputError` and leave none."""
+    content = text.encode("utf-8")
+    try:
+        with path.open("xb") as file:
+            try:
+                file.write(content)
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
+    except FileExistsError:
+        raise InputError("is there already, and is not overwritten", path=path.name) from None
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", path=path.name) from None
+
+
 def _is_stream(path: Path) -> bool:
     """Return whether `path` is no file to be replaced: a device, a pipe, standard output."""
     # A redirected /dev/stdout is a regular file, but must stay the one that the shell has opened.

@@ -77,7 +77,8 @@ class SetValues(Struct, frozen=True):
         for place, value in self.values.items():
             depth, node = page.reached(place)
             if depth == len(place):
-                yield page.over(node.start, node.end, flow_text(value))
+                shown = flow_text(value).replace("\n", page.newline)
+                yield page.over(node.start, node.end, shown)
                 continue
             at = missing.setdefault(place[:depth], {})
             for part in place[depth:-1]:
@@ -253,9 +254,7 @@ def _compare(
             values[*place, key] = value
 
 
-def set_values(
-    path: Path, text: str, location: Sequence[str], values: Mapping[str, float | str | WrittenValue]
-) -> str:
+def set_values(path: Path, text: str, location: Sequence[str], values: Mapping[str, object]) -> str:
     """Return `text` with `values` set in the mapping at `location`; its other entries are kept.
 
     The parts of `location` that do not exist are made. Raises `InputError` as `edited` does.

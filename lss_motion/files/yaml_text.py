@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from typing import Final
 
 from msgspec import Struct
@@ -13,6 +14,8 @@ from lss_motion.errors import InputError
 FLOW_MAX_CHARS: Final = 96
 """A mapping or list that is longer is written in lines. Chosen: with its indent it fits a line."""
 
+ROW_NUMBERS: Final = 12
+"""More numbers than these are a table. Chosen: beats of a few bars stand in one line."""
 _PLAIN: Final = re.compile(r"[^\W\d_](?:[\w./+-]| (?=[\w./+-]))*", re.UNICODE)
 """Texts that need no quotes, in a flow mapping either."""
 _WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
@@ -25,6 +28,23 @@ class WrittenValue(Struct, frozen=True):
 
     text: str
     value: object
+
+
+def in_rows(value: object) -> object:
+    """Return a value whose long lists of numbers are written in rows, as a person does."""
+    match value:
+        case dict():
+            parts: dict[str, object] = {key: in_rows(one) for key, one in value.items()}
+            if not any(isinstance(one, WrittenValue) for one in parts.values()):
+                return value
+            shown = ", ".join(f"{_word(key)}: {flow_text(one)}" for key, one in parts.items())
+            return WrittenValue(f"{{{shown}}}", value)
+        case list() if len(value) > ROW_NUMBERS and all(type(one) in (int, float) for one in value):
+            listed = ", ".join(map(flow_text, value))
+            rows = textwrap.wrap(listed, FLOW_MAX_CHARS, break_long_words=False)
+            return WrittenValue("[\n    " + "\n    ".join(rows) + "\n  ]", value)
+        case _:
+            return value
 
 
 def flow_text(value: object) -> str:
@@ -54,7 +74,8 @@ def flow_text(value: object) -> str:
 def entry_text(key: str, value: object, indent: str, newline: str) -> str:
     """Return a key with its value for a mapping in lines, whose keys stand behind `indent`."""
     if not _needs_lines(value):
-        return f"{_word(key)}: {flow_text(value)}"
+        shown = flow_text(value).replace("\n", newline)  # Of rows of numbers.
+        return f"{_word(key)}: {shown}"
     inner = f"{indent}  "
     lines = _lines(value, inner, newline)
     return f"{_word(key)}:{newline}{inner}{lines}"

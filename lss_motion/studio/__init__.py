@@ -19,6 +19,8 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `history`     | undo and redo across files                                 | `document`         |
 | `drafts`      | edited texts and the disk: saved, recovered, compared      | `document`         |
 | `folder`      | what lies in the folder of a show, by kind                 | `app`              |
+| `uploads`     | routes that bring sounds into a show                       | `app`              |
+| `listening`   | the process that finds beats and keys in sounds            | `uploads`          |
 | `trial`       | what an edit would do: the plan of a window around it      | `planner`          |
 | `planning`    | the server's end of the planner: the latest request wins   | `studio`           |
 | `planner`     | the process that plans: file → plan, view, job             | `planning`         |

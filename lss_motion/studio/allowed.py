@@ -34,6 +34,8 @@ BY_JOINT: Final = frozenset({"deg", "led", "poses", "mouth", "joints_deg"})
 """Keys whose mappings have names of joints or poses, which may be called `run`."""
 WORDS: Final = frozenset({"say", "label", "sequence", "gait", "stage", "title", "notes"})
 """Keys whose text is for people; any other text may be the name of a file."""
+KINDS: Final = ("sequence", "gait", "stage", "joints")
+"""Keys that say what a file is."""
 VALUES_MAX: Final = 200_000
 """Values of one message. Chosen: 10,000 keyframes of 20 joints."""
 
@@ -86,6 +88,23 @@ def require_allowed(folder: Path, path: Path, before: str, after: str) -> None:
     if fresh:
         line, reason = min(fresh)
         raise InputError(reason, path=path, line=line)
+
+
+def require_new(folder: Path, path: Path, text: str) -> None:
+    """Raise `InputError` for a text that an edit may not make of nothing.
+
+    It is a sequence, gait or robot without a mistake of a single key, with nothing under the keys
+    of `FIXED`, and no path that leads out of `folder`.
+    """
+    if path.suffix.lower() not in (".yaml", ".yml") or path.name.startswith("."):
+        raise InputError("a file of a show ends in .yaml", path=path.name)
+    new = read(path, text)
+    value = new.source.value
+    require_harmless(folder, path, {key: None for key in KINDS if key in value}, value)
+    if "stage" in value:
+        raise InputError("a stage is made with an editor of this computer", path=path.name)
+    for reason, line in new.problems.items():
+        raise InputError(reason, path=path.name, line=line)
 
 
 def require_harmless(

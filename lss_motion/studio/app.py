@@ -72,6 +72,7 @@ def make_app(studio: Studio, more: Sequence[BaseRoute] = ()) -> Starlette:
         Route("/stop", _stop, methods=["POST"]),
         Route("/estop", _stop, methods=["POST"]),
         WebSocketRoute("/ws", _socket),
+        *studio.uploads.routes(),
         *more,
     ]
     app = Starlette(routes=routes, exception_handlers={InputError: _refused})

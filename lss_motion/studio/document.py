@@ -24,6 +24,7 @@ a client that waits for `accepted` knows the revision for its next edit.
   files, `conflicts` with the disk, `recovered` files. `undo`, `redo`, `save` act on all files.
 - `edit.try` tells what an edit would do while a key is dragged (event `tried`: the plan of a window
   around it), and changes nothing. A newer one, or an edit, drops the one that waits.
+- `file.new` makes a file that is not there yet, with a text for which all of this holds.
 - Operations with the same `gesture`, one after the other, are one step of undo.
 
 Unsaved edits are kept beside their file within a second; they come back after a crash.
@@ -39,10 +40,11 @@ import msgspec
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
+from lss_motion.files.output import create_output
 from lss_motion.playing.remote import edit_messages as e
 from lss_motion.playing.remote import schema as m
 from lss_motion.show.key_edit import entries_at, lists_of, times_of
-from lss_motion.studio.allowed import path_inside, read, require_allowed
+from lss_motion.studio.allowed import path_inside, read, require_allowed, require_new
 from lss_motion.studio.drafts import Drafts, Stamp, stamp_of
 from lss_motion.studio.history import History
 from lss_motion.studio.operations import RobotNames, new_texts, word_of
@@ -203,8 +205,7 @@ class Document:
 
         Returns whether it is answered now; what is tried is answered by the planner, with `key`.
         """
-        if self.runs_stage:
-            raise InputError("this server runs a stage; edit its files with lss-motion studio")
+        self.require_editable()
         self.look()
         if operation.revision != self.revision:
             raise InputError(
@@ -212,7 +213,7 @@ class Document:
             )
         match operation:
             case e.EditTry():
-                texts = {draft.path: draft.data for draft in self._drafts.unsaved()}
+                texts = self.unsaved_texts()
                 self._try(EditTrial(number=key, operation=operation.edit, texts=texts))
                 return False
             case e.Undo():
@@ -223,10 +224,38 @@ class Document:
                 self._save()
             case e.DiskKeep():
                 self._keep(operation)
+            case e.FileNew():
+                self._new(operation)
             case _:
                 assert isinstance(operation, e.AnyEdit)
                 self._edit(operation)
         return True
+
+    def require_editable(self) -> None:
+        """Raise `InputError` where the files are those of a stage that runs."""
+        if self.runs_stage:
+            raise InputError("this server runs a stage; edit its files with lss-motion studio")
+
+    @property
+    def robot_path(self) -> Path | None:
+        """The robot file of the show, as it was read last."""
+        known = (self._newest, *([] if self.good is None else [self.good]))
+        return next((one.robot_path for one in known if one.robot_path is not None), None)
+
+    def name_of(self, path: Path) -> str:
+        """Return a file as clients know it."""
+        return self._drafts.name(path)
+
+    def unsaved_texts(self) -> dict[Path, bytes]:
+        """Return what edited files have that is not saved yet, by their full paths."""
+        return {draft.path: draft.data for draft in self._drafts.unsaved()}
+
+    def _new(self, operation: e.FileNew) -> None:
+        """Make a file that is not there yet, at once: there is nothing to undo but to delete it."""
+        path = self.inside(operation.file)
+        require_new(self.folder, path, operation.text)
+        create_output(path, operation.text)
+        self._changed()
 
     def _edit(self, operation: Any) -> None:  # noqa: ANN401  (what `new_texts` accepts)
         changed = {
@@ -370,8 +399,7 @@ class Document:
         self._is_planning, self._is_current = True, False
         self._asked_s = time.monotonic()
         self._stamps = {path: stamp_of(path) for path in {*self._stamps, *self._first()}}
-        texts = {draft.path: draft.data for draft in self._drafts.unsaved()}
-        self._ask(replace(self._request, texts=texts))
+        self._ask(replace(self._request, texts=self.unsaved_texts()))
         self._changed()
 
     def _first(self) -> Iterable[Path]:

@@ -19,6 +19,7 @@ from lss_motion.files.yaml_edit import (
     edited,
     with_edits_made,
 )
+from lss_motion.files.yaml_text import in_rows
 from lss_motion.playing.remote import edit_messages as m
 from lss_motion.show import key_edit
 from lss_motion.studio.allowed import read, remembered, require_plain
@@ -182,7 +183,7 @@ def _item_edits(operation: ItemOperation, value: Mapping[str, Any]) -> list[Edit
         case m.ValueSet():
             if operation.value is not None:
                 require_plain(operation.value)
-                return [SetValues({place: operation.value})]
+                return [SetValues({place: in_rows(operation.value)})]
             if _at(value, place) is None:
                 raise InputError(f"there is no {_shown(place)}")
             return [Remove((place,))]

@@ -26,6 +26,7 @@ from lss_motion.studio.planner import Request
 from lss_motion.studio.planning import Planner
 from lss_motion.studio.stop import StopSettings
 from lss_motion.studio.stopping import StopProcess
+from lss_motion.studio.uploads import Uploads
 from lss_motion.studio.web import LOOPBACK, Address, own_addresses
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ class Studio:
             self.planner.try_edit,
         )
         self.desk.pair = self._pair
+        self.uploads = Uploads(lambda: self.document, options.backup)
 
     @property
     def url(self) -> str:
@@ -167,6 +169,7 @@ class Studio:
         """End the planner, and leave the stop process to itself."""
         self.document.close()
         self.planner.close()
+        self.uploads.close()
         self.stops.close()
 
     def _pair(self, role: RoleName) -> m.PairingCode:

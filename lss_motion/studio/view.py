@@ -106,6 +106,9 @@ def view_of(show: Show, plan: str, peaks_of: PeaksOf | None = None) -> dict[str,
         "lanes": lanes,
         "parts": window.spans(_parts(trajectory)),
         "events": _events(trajectory, program, window),
+        "beats": [
+            at_s for beat_s in sequence.beats_s if (at_s := window.written(beat_s)) is not None
+        ],
         "marks": [
             {"label": mark.label, "at_s": at_s, "is_anchor": mark.is_anchor}
             for mark in program.marks

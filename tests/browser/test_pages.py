@@ -269,7 +269,7 @@ Promise.all(['draw', 'layout', 'window'].map((name) => import(`/static/timeline/
   };
   const keys = Array.from(times_s, (at_s) => ({at_s, hold_s: 0, is_anchor: false, deg: {}}));
   const view = {
-    view_s: 599.5, repeat: null, tolerance_deg: 0.2, marks: [], parts: [], events: [],
+    view_s: 599.5, repeat: null, tolerance_deg: 0.2, marks: [], parts: [], events: [], beats: [],
     waveforms: [], stretched: [], given_up: [], asked: [], error: {}, line: {},
     lanes: [{name: 'long', kind: 'track', joints: names, keys, times_s}],
     joints: names.map((name) => ({

@@ -211,7 +211,8 @@ def test_a_span_leaves_its_row_readable_and_added_keys_stand_on_the_curve(wave, 
                 deg_s: Float32Array.from([0, 0]) };
               const key = { at_s: 4, deg: -12, hold_s: 0, is_anchor: false, lane: 0, key: 0 };
               const view = { view_s: 9, repeat: null, tolerance_deg: 0.2, marks: [], parts: [],
-                events: [], waveforms: [], stretched: [], asked: [], error: {}, line: {}, lanes: [],
+                events: [], beats: [],
+                waveforms: [], stretched: [], asked: [], error: {}, line: {}, lanes: [],
                 given_up: [{ joint: 'a', from_s: 0, to_s: 9, at_s: 1, deg: 0.8, text: '' }],
                 joints: [{ name: 'a', range_deg: [-90, 90] }],
                 curves: { a: { plan: curve, predicted: curve, authored: null } }, keys: {} };

@@ -27,8 +27,8 @@ const limits = { range_deg: [-90, 90], speed_max_deg_s: 100, accel_max_deg_s2: 5
 const curve = { times_s: Float64Array.from([0, 9]), deg: Float32Array.from([5, 5]),
   deg_s: Float32Array.from([0, 0]) };
 const view = { lanes, keys, joints: [{ name: 'pan', ...limits }, { name: 'tilt', ...limits }],
-  marks: [{ label: 'there', at_s: 2.503 }], events: [], view_s: 8, waveforms: [], parts: [],
-  line: {},
+  marks: [{ label: 'there', at_s: 2.503 }], events: [], beats: [], view_s: 8, waveforms: [],
+  parts: [], line: {},
   curves: { pan: { plan: curve }, tilt: { plan: curve } } };
 const seen = { start_s: 0, px_per_s: 100, width_px: 800 };
 const ref = (key, joint = null) => ({ lane: 0, key, joint });

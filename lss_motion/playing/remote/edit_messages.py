@@ -157,6 +157,16 @@ class ValueRename(EditOperation, frozen=True, kw_only=True, tag="value.rename"):
     name: Name
 
 
+class FileNew(EditOperation, frozen=True, kw_only=True, tag="file.new"):
+    """Make a sequence, gait or robot file with this text; one that is there is never overwritten.
+
+    `undo` does not delete it.
+    """
+
+    file: FileName
+    text: str
+
+
 class TextSet(EditOperation, frozen=True, kw_only=True, tag="text.set"):
     """Replace the lines from `from_line` (from 1) to before `to_line`; ends of lines are kept."""
 
@@ -211,7 +221,7 @@ class DiskKeep(EditOperation, frozen=True, kw_only=True, tag="disk.keep"):
     what: Literal["ours", "disk"]
 
 
-AnyEdit = AnyChange | EditTry | Undo | Redo | Save | DiskKeep
+AnyEdit = AnyChange | FileNew | EditTry | Undo | Redo | Save | DiskKeep
 
 
 class TriedKey(Message, frozen=True, kw_only=True):

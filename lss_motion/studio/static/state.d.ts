@@ -39,7 +39,7 @@ export type View = {
   is_endless: boolean; repeat: null | { from_s: number; to_s: number; times: number | null };
   tolerance_deg: number; joints: JointView[]; lanes: Lane[];
   parts: { name: string; from_s: number; to_s: number }[];
-  events: ShowEvent[]; marks: Mark[]; curves: Record<string, JointCurves>;
+  events: ShowEvent[]; beats: number[]; marks: Mark[]; curves: Record<string, JointCurves>;
   keys: Record<string, JointKey[]>;
   stretched: (Span & { by_s: number; limit: string })[];
   given_up: (Span & { at_s: number; deg: number })[];
@@ -133,6 +133,8 @@ export type State = {
   /** What the files hold, and what lies beside them; null until it was asked for. */
   model: import("./contents/editor.js").Model | null;
   folder: Record<"sequences" | "gaits" | "stages" | "robots" | "sounds", string[]> | null;
+  /** Beats that are proposed, in seconds of their sound. */
+  proposed: number[] | null;
   /** What is beside the timeline: what is chosen, or what the show consists of. */
   side: "chosen" | "contents";
   page: Page;

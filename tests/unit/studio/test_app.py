@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import wave
 from types import SimpleNamespace
 
 import pytest
@@ -17,6 +19,7 @@ from lss_motion.studio.document import Document
 from lss_motion.studio.hub import Hub
 from lss_motion.studio.planner import PlannerReply, Request
 from lss_motion.studio.studio import Studio
+from lss_motion.studio.uploads import Uploads
 from lss_motion.studio.web import BODY_MAX_BYTES, Address
 
 OWN = Address("127.0.0.1", 8000, is_tls=False)
@@ -56,6 +59,7 @@ def studio(tmp_path):
     studio.pairing, studio.desk = Pairing(), DeskStub()
     studio.hub = Hub(studio._welcome)
     studio.hub.desk = studio.desk
+    studio.uploads = Uploads(lambda: studio.document, None)
     path = tmp_path / "show" / "wave.yaml"
     studio.document = Document(Request(number=0, path=path), lambda _: None, lambda: None)
     studio.document.take(
@@ -91,6 +95,51 @@ def test_a_token_or_a_code_becomes_a_cookie_that_scripts_cannot_read(client, stu
         for word in ("HttpOnly", "SameSite=strict", f"lss_studio_8000={role}."):
             assert word in answer.headers["set-cookie"]
     assert client.post("/session", json={"token": TOKEN}).status_code == 401
+
+
+def test_a_sound_is_kept_once_whole_and_never_over_another_file(client, tmp_path):
+    folder = tmp_path / "show"
+    good = b"RIFF....WAVEfmt "
+    for role in (Role.VIEW, Role.OPERATE):
+        refused = client.put("/sound/a.wav", content=good, headers=SAFE | cookie(role))
+        assert refused.status_code == 403
+    assert client.put("/sound/a.wav", content=good, headers=cookie(Role.EDIT)).status_code == 401
+    foreign = {"origin": "http://evil.example"} | cookie(Role.EDIT)
+    assert client.put("/sound/a.wav", content=good, headers=foreign).status_code == 403
+    edit = SAFE | cookie(Role.EDIT)
+    before = sorted(folder.iterdir())
+    for name in (
+        *(
+            "wave.yaml",
+            "a.py",
+            ".a.wav",
+            "..%2Fa.wav",
+            "%2e%2e",
+            "a%00.wav",
+            "a%0A.wav",
+            "b%5Ca.wav",
+        ),
+        *(f"{'a' * 130}.wav", "sub%2Fa.wav"),
+    ):
+        assert client.put(f"/sound/{name}", content=good, headers=edit).status_code in (404, 409)
+    answer = client.put("/sound/a.wav", content=b"sequence: a", headers=edit)
+    assert "is no sound" in answer.json()["error"]
+    assert sorted(folder.iterdir()) == before, "nothing half is left"
+    sound = io.BytesIO()
+    with wave.open(sound, "wb") as file:
+        file.setparams((1, 2, 8000, 0, "NONE", ""))
+        file.writeframes(bytes(1600))
+    good = sound.getvalue()
+    answer = client.put("/sound/%C3%BC.wav", content=good, headers=edit)
+    assert answer.json() == {"file": "ü.wav", "is_new": True}
+    assert (folder / "ü.wav").read_bytes() == good
+    assert client.put("/sound/%C3%BC.wav", content=good, headers=edit).json()["is_new"] is False
+    other = client.put("/sound/%C3%BC.wav", content=good + bytes(2), headers=edit)
+    assert "not overwritten" in other.json()["error"]
+    assert (folder / "ü.wav").read_bytes() == good
+    (folder / "link.wav").symlink_to(tmp_path / "new.wav")
+    assert client.put("/sound/link.wav", content=good, headers=edit).status_code == 409
+    assert not (tmp_path / "new.wav").exists()
 
 
 @pytest.mark.parametrize("path", ["/robot.json", f"/view/{PLAN}.json", "/files/arm.urdf"])

@@ -546,6 +546,50 @@ def test_the_model_is_what_the_files_hold_now(server):
     assert own == {"place": ("keyframes",), "times_s": [0.0, 1.5, 2.0], "lines": [5, 6, 7]}
 
 
+SMALL = "sequence: new\nrobot: arm.yaml\nkeyframes:\n  - {at_s: 0, deg: {a: 0}}\n"
+
+
+def test_a_new_file_is_made_once_and_holds_nothing_that_no_edit_may_add(server, folder):
+    client = server.join()
+    assert server.send(client, "file.new", file="new.yaml", text=SMALL) is None
+    assert (folder / "new.yaml").read_text() == SMALL
+    assert "not overwritten" in server.send(client, "file.new", file="new.yaml", text=SMALL)
+    (folder / "away.yaml").symlink_to(folder.parent / "away.yaml")
+    robot = "robot: b\n{}joints:\n  a: {{id: 1, model: LSS-ST1, range_deg: [0, 9]}}\n"
+    for name, text, words in (
+        ("away.yaml", SMALL, "not in the folder"),
+        ("../n.yaml", SMALL, "not in the folder"),
+        ("n.py", SMALL, "ends in .yaml"),
+        (".n.yaml", SMALL, "ends in .yaml"),
+        ("n.yaml", SMALL + "events: [{at_s: 0, run: 'tricks:wave'}]\n", "a function that is run"),
+        ("n.yaml", SMALL.replace("arm.yaml", "../arm.yaml"), "leads out"),
+        ("n.yaml", SMALL + "sound: /etc/passwd\n", "leads out"),
+        ("n.yaml", robot.format('buses: {main: {port: "/dev/ttyUSB0"}}\n'), "a port"),
+        ("n.yaml", "stage: hall\nlisten: {http: ':80'}\n", "way out"),
+        ("n.yaml", "stage: hall\n", "stage"),
+        ("n.yaml", "notes: 1\n", "is no sequence"),
+        ("n.yaml", "sequence: [", ""),
+        ("n.yaml", SMALL + "lop: 3\n", "lop"),
+    ):
+        assert words in server.send(client, "file.new", file=name, text=text), (name, text)
+        assert not (folder / "n.yaml").exists()
+    assert not (folder.parent / "away.yaml").exists()
+    assert server.send(client, "file.new", file="b.yaml", text=robot.format("")) is None
+    assert server.send(server.join(Role.OPERATE), "file.new", file="n.yaml", text=SMALL)
+    assert server.text() == SHOW.removeprefix("\ufeff"), "the open file is as it was"
+
+
+def test_long_lists_of_numbers_are_written_in_rows_with_the_ends_of_their_file(server):
+    client = server.join()
+    beats = [round(0.5 * n, 3) for n in range(1, 60)]
+    assert server.send(client, "value.set", file="swing.yaml", place=["beats"], value=beats) is None
+    lines = server.text().split("\n")
+    assert max(map(len, lines)) <= 101
+    assert all(line.endswith("\r") for line in lines[:-1])
+    assert server.send(client, "undo") is None
+    assert server.text() == SHOW.removeprefix("\ufeff")
+
+
 def test_a_pose_that_is_saved_from_the_robot_is_a_step_of_undo(server, folder):
     client = server.join()
     server.document.expect_change(folder / "arm.yaml")

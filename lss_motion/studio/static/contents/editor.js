@@ -18,6 +18,7 @@ export class ContentsEditor {
   #last = Promise.resolve();
   #gesture = 0;
   #asked = -1;
+  #fetches = 0;
 
   /** @param {Store} store @param {ServerLink} link */
   constructor(store, link) {
@@ -39,12 +40,16 @@ export class ContentsEditor {
     if (page !== "timeline" || own === null || welcome === null || welcome.role === "view") return;
     if (this.#asked === revision && model?.revision === revision) return;
     this.#asked = revision;
+    this.#fetches += 1;
+    const own_fetch = this.#fetches;
     try {
-      const [model, folder] = await Promise.all([fetch(`/model/${revision}.json`), fetch("/folder.json")]);
-      if (folder.ok) this.store.dispatch({ type: "set", fields: { folder: await folder.json() } });
-      const found = model.ok ? await model.json() : null;
+      const [model, folder] = await Promise.all([`/model/${revision}.json`, "/folder.json"].map(async (path) => {
+        const response = await fetch(path);
+        return response.ok ? response.json() : null;
+      }));
       // One that was asked for before may come later.
-      if (found !== null && this.#asked === found.revision) this.store.dispatch({ type: "set", fields: { model: found } });
+      if (own_fetch !== this.#fetches) return;
+      this.store.dispatch({ type: "set", fields: { ...(folder === null ? {} : { folder }), ...(model === null ? {} : { model }) } });
     } catch {
       this.#asked = -1; // The link says what is wrong.
     }
@@ -96,6 +101,18 @@ export class ContentsEditor {
         resolve(found);
       });
     });
+  }
+
+  /** Look again what lies in the folder. */
+  async refresh() {
+    this.#asked = -1;
+    await this.#fetch();
+  }
+
+  /** Make a file that is not there yet; throws what the server refuses with. @param {string} file @param {string} text */
+  async makeFile(file, text) {
+    await this.link.send("file.new", { revision: this.store.state.value.document?.revision ?? 0, file, text });
+    await this.refresh();
   }
 
   /** Add an event to the open file, and show the contents. @param {number} at_s @param {Record<string, unknown>} event */

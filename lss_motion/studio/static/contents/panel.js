@@ -5,7 +5,9 @@ import { html, useState } from "../vendor/preact.js";
 import { NumberField, TextField } from "../pages/about.js";
 import { Choice } from "../parts/choice.js";
 import { Pick } from "../parts/pick.js";
+import { Section, Slider, Small } from "./fields.js";
 import { addOf, isSoloed, moveOf, removeOf, setOf, soloOf } from "./editor.js";
+import { Sounds } from "./sound.js";
 import { freeJoints, newTrack, startAngles } from "./tracks.js";
 
 /** @typedef {import("../state.js").State} State */
@@ -27,19 +29,9 @@ export function Contents({ state, actions }) {
   if (own === null || value === undefined) return html`<p class="muted">${own?.is_planning ? "The file is being read…" : "The file cannot be read: mend its text first."}</p>`;
   if (!("sequence" in value)) return html`<p class="muted">Only a sequence has events, tracks, layers and a play list.</p>`;
   const part = { state, actions, file: own.file, value };
-  return html`<${Events} ...${part} /><${Looped} ...${part} />
+  return html`<${Sounds} ...${part} /><${Events} ...${part} /><${Looped} ...${part} />
     ${value.play === undefined ? html`<${Tracks} ...${part} />` : html`<${PlayList} ...${part} />`}
     <${Layers} ...${part} />`;
-}
-
-/** A part of the contents, folded or not. @param {{ title: string, count?: number | undefined, children?: unknown }} props */
-export function Section({ title, count, children }) {
-  return html`<details class="part" open><summary><h2>${title}${count ? html` <span class="muted">${count}</span>` : null}</h2></summary>${children}</details>`;
-}
-
-/** @param {{ name: string, run: () => void, text?: string, isOn?: boolean | undefined, isOff?: boolean | undefined }} props */
-export function Small({ name, run, text, isOn, isOff }) {
-  return html`<button type="button" class="small-button" aria-label=${name} title=${name} aria-pressed=${isOn} disabled=${isOff} onClick=${run}>${text ?? name}</button>`;
 }
 
 // ------------------------------------------------------------------------ events
@@ -83,11 +75,6 @@ function Event({ state, actions, file, own, index }) {
 /** The same mapping with another key in the same place. @param {Record<string, unknown>} value @param {string} before @param {string} after */
 function renamed(value, before, after) {
   return Object.fromEntries(Object.entries(value).map(([key, own]) => [key === before ? after : key, own]));
-}
-
-/** @param {globalThis.Event} event */
-function chosen(event) {
-  return /** @type {HTMLInputElement} */ (event.currentTarget).value;
 }
 
 // ------------------------------------------------------------------------- loops
@@ -209,22 +196,6 @@ function Layer({ state, actions, file, value, own, index, count }) {
     <details class="mask"><summary>joints: ${own.joints === undefined ? "all that it keys" : own.joints.join(", ")}</summary>
       <${Joints} label=${`joints of ${own.file}`} all=${joints} chosen=${mask}
         choose=${(/** @type {string[]} */ wanted) => set("joints", wanted.length === 0 || wanted.length === joints.length ? null : wanted)} /></details>`;
-}
-
-/** A number by a slider: it is taken when it is let go.
- * @param {{ name: string, unit: string, value: number, least: number, most: number, step: number, set: (value: number) => void, show?: (value: number) => void }} props */
-export function Slider({ name, unit, value, least, most, step, set, show }) {
-  const [tried, setTried] = useState(/** @type {number | null} */ (null));
-  const shown = tried ?? value;
-  return html`<label class="slider"><span>${name}</span><input type="range" data-slider=${name} min=${least} max=${most} step=${step} value=${shown}
-    onInput=${(/** @type {globalThis.Event} */ event) => {
-      setTried(Number(chosen(event)));
-      show?.(Number(chosen(event)));
-    }}
-    onChange=${(/** @type {globalThis.Event} */ event) => {
-      setTried(null);
-      set(Number(chosen(event)));
-    }} /><output class="number">${Number(shown.toFixed(3))} ${unit}</output></label>`;
 }
 
 /** Choose a file of the folder to add. @param {{ label: string, files: string[], text: string, add: (file: string) => void }} props */

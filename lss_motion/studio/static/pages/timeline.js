@@ -3,6 +3,7 @@
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
 import { Contents } from "../contents/panel.js";
+import { bring } from "../contents/sound.js";
 import { FigurePanel } from "../figure/panel.js";
 import { Mirror } from "../mirror.js";
 import { Choice } from "../parts/choice.js";
@@ -31,7 +32,12 @@ export function TimelinePage({ state, actions, store }) {
     };
   }, []);
   useEffect(() => actions.board?.setTheme(), [state.theme]);
-  return html`<main class="page timeline">
+  /** @param {DragEvent} event */
+  const drop = (event) => {
+    event.preventDefault();
+    if (event.dataTransfer !== null && state.welcome?.role === "edit") void bring(actions, event.dataTransfer.files);
+  };
+  return html`<main class="page timeline" onDragOver=${(/** @type {DragEvent} */ event) => event.preventDefault()} onDrop=${drop}>
     <section class="board-card">
       ${state.view === null ? html`<p class="board-why">${whyNoPlan(state)}</p>` : html`<${Tools} state=${state} actions=${actions} />`}
       <div class="board" ref=${place}></div>

@@ -8,6 +8,7 @@ import { angleAt, usedOf, withinView } from "../curves.js";
 import { onFrame, requestFrame } from "../frames.js";
 import { draftName, draftOf, draftText, isNothing } from "./draft.js";
 import { drawLive, drawNames, drawTimeline, scaleOf } from "./draw.js";
+import { drawBeats } from "./draw_beats.js";
 import { drawBox, drawDraft, drawInstant } from "./draw_draft.js";
 import { afterInput, HELD_MS, REST } from "./gestures.js";
 import { hitAt, REACH_PX, TOUCH_REACH_PX } from "./hit.js";
@@ -221,6 +222,7 @@ export class TimelineBoard {
     this.#selection = state.selection;
     const [names, plan] = this.#contexts();
     this.keys = drawTimeline(plan, scene);
+    drawBeats(plan, scene, scene.view.beats, scene.palette.anchor);
     const walked = this.#layout === null ? [] : walkedRows(this.#layout);
     const row = walked[state.row];
     const own = scene.rows.find((one) => row !== undefined && one.kind === row.kind && one.index === row.index);
@@ -233,7 +235,8 @@ export class TimelineBoard {
   #drawMoving(scene, state, playhead_s) {
     const view = scene.view;
     const { segments, plan } = this.#store.readings;
-    const counts = `${segments.length} ${segments.at(-1)?.count ?? 0} ${playhead_s} ${state.cursor_s}`;
+    const proposed = state.proposed ?? [];
+    const counts = `${proposed.length} ${proposed[0]} ${segments.length} ${segments.at(-1)?.count ?? 0} ${playhead_s} ${state.cursor_s}`;
     if (counts === this.#live) return;
     this.#live = counts;
     const live = this.#contexts()[2];
@@ -244,6 +247,7 @@ export class TimelineBoard {
       segments,
       toView: (at_s) => withinView(view, at_s),
     });
+    drawBeats(live, scene, proposed, scene.palette.selected);
     const gesture = this.#gesture;
     if (gesture.kind === "box" && gesture.isMoved) drawBox(live, scene, boxOf(gesture.from, gesture.at));
     if (gesture.kind === "event" && gesture.isMoved) {

@@ -18,6 +18,7 @@ export const STEPS_DEG = { coarse: 0.5, fine: 0.1 };
 export function targetsOf(view, cursor_s, isMoved) {
   const found = [{ at_s: 0, what: "the start" }, { at_s: cursor_s, what: "the cursor" }];
   for (const mark of view.marks) if (mark.label !== "") found.push({ at_s: mark.at_s, what: mark.label });
+  view.beats.forEach((at_s, index) => found.push({ at_s, what: `beat ${index + 1}` }));
   for (const event of view.events) found.push({ at_s: event.at_s, what: event.text });
   view.lanes.forEach((lane, index) => lane.keys.forEach((key, number) => {
     if (!isMoved(index, number)) found.push({ at_s: key.at_s, what: `a key of ${lane.name}` });
