@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 BENCHES = (
     "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line", "late",
-    "identify", "capacity", "play", "sound", "network", "sync", "start",
+    "identify", "load", "capacity", "play", "sound", "network", "sync", "start",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

@@ -24,6 +24,7 @@ from lss_motion.planning.summaries import (
 )
 from lss_motion.planning.trajectory.model import GivenUp, SlowSpan, Smoothing  # noqa: TC001
 from lss_motion.planning.trajectory.torques import PlanLoad, plan_load
+from lss_motion.planning.trajectory.touches import Touch, touches
 from lss_motion.robot.model import NO_SERVO
 from lss_motion.show.functions import calls_of
 
@@ -121,6 +122,8 @@ class ShowCheck(Struct, frozen=True, kw_only=True):
     functions: Sequence[CalledFunction]
     load: PlanLoad | UnsetType = UNSET
     """What the plan asks of the servos; only where the robot has masses."""
+    touches: Sequence[Touch] | UnsetType = UNSET
+    """Links of the figure that touch; only where any do."""
     robust: Mapping[str, Any] | UnsetType = UNSET
     """With `--robust`: the runs on simulated robots that are worse than assumed."""
 
@@ -213,6 +216,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
             CalledFunction(run=call.run, files=[str(file) for file in call.files], count=call.count)
             for call in calls_of(program.cues)
         ],
+        touches=UNSET if trajectory is None else touches(trajectory, show.robot) or UNSET,
         load=UNSET if trajectory is None else plan_load(trajectory, show.robot) or UNSET,
     )
     made: dict[str, Any] = to_builtins(found)

@@ -110,20 +110,25 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
             f"{use.speed_ratio:6.0%}   {use.accel_deg_s2:7.1f} "
             f"({use.joint.accel_max_deg_s2:g}) {use.accel_ratio:6.0%}"
         )
-    return [*lines, *_margin_lines(trajectory, uses), *_load_lines(trajectory, robot)]
+    return [*lines, *_margin_lines(trajectory, uses), *_figure_lines(trajectory, robot)]
 
 
-def _load_lines(trajectory: Trajectory, robot: Robot) -> list[str]:
-    """Return what the plan asks of servos that carry known masses; a wrong URDF file is a line."""
+def _figure_lines(trajectory: Trajectory, robot: Robot) -> list[str]:
+    """Return which links touch, and what the plan asks of servos that carry known masses.
+
+    A wrong URDF file is a line.
+    """
     if robot.figure is None and robot.urdf is None:
         return []
     from lss_motion.planning.trajectory.torques import load_lines, plan_load
+    from lss_motion.planning.trajectory.touches import touch_lines, touches
 
+    lines = touch_lines(touches(trajectory, robot))
     try:
         load = plan_load(trajectory, robot)
     except InputError as error:
         return [f"warning: torques are not known: {error}"]
-    return [] if load is None else load_lines(load)
+    return [*lines, *([] if load is None else load_lines(load))]
 
 
 def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:

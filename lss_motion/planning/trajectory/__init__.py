@@ -32,6 +32,7 @@
 | `more_time.py`  | how much more time anchors need that are missed      | planner                 |
 | `eases.py`      | where `spline` or `smooth` makes a motion later      | summaries               |
 | `torques.py`    | torque, current and heat of servos that carry masses | summaries, plot         |
+| `touches.py`    | links of a figure that touch each other              | summaries, check_json   |
 | `plot.py`       | a picture of a trajectory                            | cli                     |
 
 toppra takes a second to import. It is imported only where a motion must be slowed or made as fast

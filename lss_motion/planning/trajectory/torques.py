@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-STEP_S: Final = 0.005
-"""Instants at which a plan is judged: as of its picture. The control loop of a servo is as long."""
+STEP_S: Final = 0.01
+"""Instants at which a plan is judged. Chosen: a tenth of an ordinary ramp, in which speed and
+acceleration, and so the torque, change little."""
 BLOCK: Final = 8192
 """Instants at once, so that a long show needs no more memory than a short one."""
 NOMINAL_V: Final = 12.0
