@@ -1,7 +1,8 @@
 """A log of a run as MCAP, for Foxglove, PlotJuggler, rosbag2 and other programs.
 
     /joint_states    sensor_msgs/msg/JointState: a position that a servo reported, one joint each
-    /joint_commands  sensor_msgs/msg/JointState: the target of a `D` that was sent, one joint each
+    /joint_commands  sensor_msgs/msg/JointState: the target of a `D` that was sent, one joint each.
+                     Servos behind mechanisms are `servo:NAME` in both, in degrees of ideal servos
     /events          JSON: `type` and the fields of each event; requests of a person
 
 Angles are joint angles in radians. Times are those of the log: nanoseconds since the run began.
@@ -18,13 +19,16 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from lss_motion.errors import InputError, install_command
+from lss_motion.planning.trajectory.servo_motion import servo_name
+from lss_motion.playing.hands_mapping import JointReading, JointReadings
+from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.log import HappenedLine, PortLine, ReceivedLine, RequestedLine
 from lss_motion.playing.replay import sent_lines
 from lss_motion.protocol.framing import Command, CommandParser, Reply, ReplyParser
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from lss_motion.playing.log import LogLine
     from lss_motion.robot.model import Joint, Robot
@@ -88,34 +92,59 @@ Message = tuple[int, str, bytes]
 
 
 def _angles(lines: Sequence[LogLine], robot: Robot) -> Iterator[Message]:
-    """Yield a message for every position that was reported, and for every target that was sent."""
-    joints = {(joint.bus, joint.servo_id): joint for joint in robot.joints.values()}
+    """Yield a message for every position that was reported, and for every target that was sent.
+
+    The angles of joints behind mechanisms follow from those of their servos.
+    """
+    view = JointView(robot)
+    servos = {(one.bus, one.servo_id): one for one in robot.servo_robot.joints.values()}
+    mixed = JointReadings(view)
+    for at_ns, servo, wire in _reported(lines, servos):
+        deg = _servo_deg(servo, wire)
+        if view.mechanism_of_servo(servo.name) is not None:
+            yield at_ns, STATES, _joint_state(at_ns, servo_name(servo.name), deg)
+        for one in mixed.add(JointReading(servo.name, at_ns, deg)):
+            yield at_ns, STATES, _joint_state(one.at_ns, one.joint, one.deg)
+    commands = CommandParser(grouped=False)
+    for at_ns, bus, line in sent_lines(lines):
+        for sent in commands.feed(line):
+            if isinstance(sent, Command) and sent.keyword == "D" and isinstance(sent.value, int):
+                target = servos.get((bus, sent.servo_id))
+                if target is not None:
+                    is_joint = view.mechanism_of_servo(target.name) is None
+                    name = target.name if is_joint else servo_name(target.name)
+                    state = _joint_state(at_ns, name, _servo_deg(target, sent.value))
+                    yield at_ns, COMMANDS, state
+
+
+def _reported(
+    lines: Sequence[LogLine], servos: Mapping[tuple[str, int], Joint]
+) -> Iterator[tuple[int, Joint, int]]:
+    """Yield the positions that servos reported, in wire units."""
     replies: dict[str, ReplyParser] = {}
     for entry in lines:
         if isinstance(entry, ReceivedLine):
             parser = replies.setdefault(entry.bus, ReplyParser())
             for item in parser.feed(entry.data):
                 if isinstance(item, Reply) and item.keyword == "QD" and item.servo_id is not None:
-                    joint = joints.get((entry.bus, item.servo_id))
-                    if joint is not None and isinstance(item.value, int):
-                        yield entry.at_ns, STATES, _joint_state(entry.at_ns, joint, item.value)
-    commands = CommandParser(grouped=False)
-    for at_ns, bus, line in sent_lines(lines):
-        for sent in commands.feed(line):
-            if isinstance(sent, Command) and sent.keyword == "D" and isinstance(sent.value, int):
-                joint = joints.get((bus, sent.servo_id))
-                if joint is not None:
-                    yield at_ns, COMMANDS, _joint_state(at_ns, joint, sent.value)
+                    servo = servos.get((entry.bus, item.servo_id))
+                    if servo is not None and isinstance(item.value, int):
+                        yield entry.at_ns, servo, item.value
 
 
-def _joint_state(at_ns: int, joint: Joint, wire: int) -> bytes:
+def _servo_deg(servo: Joint, wire: int) -> float:
+    """Return the angle of an ideal servo."""
+    return servo.joint_deg(wire / servo.model.wire_per_deg)
+
+
+def _joint_state(at_ns: int, name: str, deg: float) -> bytes:
     """Return a JointState with one joint in CDR, the encoding of ROS 2."""
-    angle_rad = math.radians(joint.joint_deg(wire / joint.model.wire_per_deg))
+    angle_rad = math.radians(deg)
     seconds, rest_ns = divmod(at_ns, NS_PER_S)
     body = bytearray(struct.pack("<iI", seconds, rest_ns))
     _add_text(body, "")
     _add(body, "<I", 1)
-    _add_text(body, joint.name)
+    _add_text(body, name)
     _add(body, "<I", 1)
     _add(body, "<d", angle_rad)
     _add(body, "<II", 0, 0)  # Neither velocity nor effort.

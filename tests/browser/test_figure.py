@@ -126,6 +126,48 @@ def test_a_mesh_is_drawn_and_is_whole_in_the_picture(studio, opened, tmp_path):
     assert not any(edge.any() for edge in edges), "and nothing of it is cut off"
 
 
+SHAPES = {
+    "box": "shape: box, length_mm: 200, size_mm: [60, 60, 200]",
+    "capsule": "shape: capsule, length_mm: 140, width_mm: 60, offset_mm: [0, 0, 30]",
+    "ellipsoid": "shape: ellipsoid, length_mm: 200, size_mm: [60, 60, 200]",
+}
+"""Three solids that stand in the same box."""
+
+
+@pytest.mark.parametrize("has_webgl", [True, False], ids=["3d", "2d"])
+def test_each_shape_is_drawn_as_large_as_it_is(studio, opened, tmp_path, has_webgl):
+    show = "sequence: s\nrobot: r.yaml\nkeyframes:\n"
+    show += "  - {at_s: 0, deg: {pan: 0}}\n  - {at_s: 1.5, deg: {pan: 30}}\n"
+    (tmp_path / "s.yaml").write_text(show)
+    areas = {}
+    for name, shape in SHAPES.items():
+        (tmp_path / "r.yaml").write_text(
+            "robot: r\nbuses: {main: {port: 'sim://', firmware: 370}}\njoints:\n"
+            "  pan: {id: 1, model: LSS-HS1, range_deg: [-50, 50], speed_max_deg_s: 90, "
+            "accel_max_deg_s2: 300}\n"
+            "figure:\n"
+            "  frame: {along: z, length_mm: 200, width_mm: 1, shade: light}\n"
+            f"  one: {{joint: pan, axis: z, along: z, {shape}}}\n"
+        )
+        with studio(tmp_path / "s.yaml") as own, opened(own, has_webgl=has_webgl) as page:
+            page.key("2")
+            kind = "webgl" if has_webgl else "2d"
+            page.wait(f"document.querySelector('.figure-stage canvas')?.dataset.kind === '{kind}'")
+            page.wait("document.querySelector('[role=grid]')")
+            page.key("Control+Home")
+            picture = Image.open(BytesIO(base64.b64decode(drawn(page)))).convert("RGB")
+        red, _, blue = np.moveaxis(np.asarray(picture, dtype=int), 2, 0)
+        is_solid = blue - red > 60
+        edges = (is_solid[:3], is_solid[-3:], is_solid[:, :3], is_solid[:, -3:])
+        assert not any(edge.any() for edge in edges), f"nothing of a {name} is cut off"
+        rows, columns = np.nonzero(is_solid.any(axis=1))[0], np.nonzero(is_solid.any(axis=0))[0]
+        areas[name] = is_solid.sum()
+        tall, wide = np.ptp(rows), np.ptp(columns)
+        assert 2.0 < tall / wide < 4.5, f"a {name} is {tall} by {wide}"
+    # In the same frame a box hides the most and an ellipsoid the least.
+    assert areas["box"] > 1.05 * areas["capsule"] > 1.05 * areas["ellipsoid"] > 1000, areas
+
+
 SOLID = """
 (() => {
   const canvas = document.querySelector('.figure-stage canvas');

@@ -157,3 +157,27 @@ def test_without_the_library_the_message_tells_what_to_install(monkeypatch, fold
     lines = read_log(folder / "run.log").lines
     with pytest.raises(InputError, match=r"MCAP needs a library: .*mcap"):
         mcap_of_log(lines, load_robot(folder / "robot.yaml"))
+
+
+def test_joints_behind_mechanisms_follow_from_their_servos(tmp_path) -> None:
+    log, output = tmp_path / "head.log", tmp_path / "head.mcap"
+    show = str(EXAMPLES / "head.yaml")
+    assert play([show, "--virtual", "--log", str(log)]) == 0
+    assert main(["export", str(log), "-o", str(output)]) == 0
+    with output.open("rb") as stream:
+        found = [m.data for _, _, m in reader.make_reader(stream).iter_messages(["/joint_states"])]
+    last: dict[str, float] = {}
+    widest: dict[str, float] = {}
+    for _, (name,), (deg,) in map(joint_state, found):
+        last[name], widest[name] = deg, max(widest.get(name, 0.0), abs(deg))
+    assert {"tilt", "roll", "pan", "jaw", "servo:neck.left", "servo:jaw"} <= last.keys()
+    assert "neck.left" not in last
+    # At the end it stands: the rows of the matrix of the neck, solved by hand.
+    left, right = last["servo:neck.left"], last["servo:neck.right"]
+    assert last["tilt"] == pytest.approx((left + right) / 3.6, abs=0.1)
+    assert last["roll"] == pytest.approx((left - right) / 2.4, abs=0.1)
+    assert last["pan"] == pytest.approx(last["servo:pan"] / 2.0, abs=0.1)
+    limits = load_robot(EXAMPLES / "robots" / "head.yaml").joints
+    for name in ("tilt", "roll", "pan", "jaw"):
+        joint = limits[name]
+        assert 3.0 < widest[name] < 1.0 + max(-joint.position_min_deg, joint.position_max_deg)
