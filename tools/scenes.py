@@ -68,6 +68,38 @@ log: {{ring_s: 0}}
 """
 
 
+RICH: Final = """\
+sequence: rich
+robot: robots/ghost.yaml
+keep: {arm: time}
+keyframes:
+  - {at_s: 0, deg: {head: 0, arm: 0}, label: hangs}
+  - {at_s: 0.5, deg: {head: 70, arm: 60}, label: menace}
+  - {at_s: 4, deg: {head: 40, arm: 0}, label: looks at you, hold_s: 0.5}
+  - {at_s: 12, deg: {head: 0, arm: 10}, label: asleep}
+tracks:
+  mouth:
+    loop: 5
+    keyframes:
+      - {at_s: 0, deg: {jaw: 5}}
+      - {at_s: 1, deg: {jaw: 20}, ease: linear}
+      - {at_s: 2, deg: {jaw: 5}}
+layers: [{file: nod.yaml, mode: add, from_s: 5, fade_s: 0.5}]
+events:
+  - {at_s: 1, say: boo}
+  - {at_s: 2.5, led: {head: red}}
+"""
+NOD: Final = """\
+sequence: nod
+robot: robots/ghost.yaml
+loop: 3
+keyframes:
+  - {at_s: 0, deg: {head: 0}}
+  - {at_s: 0.8, deg: {head: 8}}
+  - {at_s: 1.6, deg: {head: 0}}
+"""
+
+
 class Scene(NamedTuple):
     """A page in a state of `states.js`; `dialog`: the title of what is open over it."""
 
@@ -184,7 +216,7 @@ def shown_page(page: Page) -> str:
 
 def pages_of(name: str) -> tuple[str, ...]:
     """Return the pages on which a scene is seen: the theatre is the Show page."""
-    return PAGES[:1] if name == "theatre" else PAGES
+    return {"theatre": PAGES[:1], "menu": PAGES[1:2], "contents": PAGES[1:2]}.get(name, PAGES)
 
 
 # ---------------------------------------------------------------------- the groups
@@ -408,6 +440,46 @@ def _of_keys(own: Opened) -> Iterator[Scene]:
     page.key("Escape")
 
 
+def of_contents(browser: Browser, folder: Path) -> Iterator[Scene]:
+    """Go through a show with all that one has: what it consists of, a menu, what it is asked."""
+    Ghost(folder)
+    (folder / "nod.yaml").write_text(NOD, "utf-8")
+    (show := folder / "rich.yaml").write_text(RICH, "utf-8")
+    with opened(browser, show) as own:
+        page = own.page
+        page.wait("document.querySelector('.joints')")
+        yield own.is_in("at_rest")._replace(name="rich")
+        page.key("2")
+        page.wait("document.querySelector('.board-plan')")
+        page.idle()
+        x, y = page.place(".board-plan")
+        for kind in ("mousePressed", "mouseReleased"):
+            page.pointer(kind, x, y, button="right")
+        page.wait("document.querySelector('.menu')")
+        yield own.is_in("at_rest")._replace(name="menu")
+        page.key("Escape")
+        own.click("Contents")
+        page.wait("document.querySelector('.part')")
+        page.run("document.querySelector('.about-part').scrollTo(0, 1e6)")
+        yield own.is_in("at_rest")._replace(name="contents")
+        own.click("Remove track mouth")
+        yield own.asks("remove_track", "Remove track mouth?", "at_rest")
+        page.key("Escape")
+        own.click("Remove event 2")
+        page.wait("document.querySelectorAll('.part .items li').length < 4")
+        show.write_text(RICH + "# of another hand\n", "utf-8")
+        page.wait("document.querySelector('.banner .difference')")
+        yield own.is_in("at_rest")._replace(name="conflict")
+    with opened(browser, EXAMPLES / "playlist.yaml") as own:
+        page = own.page
+        page.wait("document.querySelector('.joints')")
+        page.key("2")
+        own.click("Contents")
+        page.wait("document.querySelector('.part')")
+        page.run("document.querySelector('.about-part').scrollTo(0, 1e6)")
+        yield own.is_in("at_rest")._replace(name="play_list")
+
+
 def of_files(browser: Browser, folder: Path) -> Iterator[Scene]:
     """Open a robot file and a stage file, and try to pair a tablet where none can come."""
     Ghost(folder)
@@ -438,6 +510,7 @@ GROUPS: Final[dict[str, Callable[[Browser, Path], Iterator[Scene]]]] = {
     "gone": of_gone,
     "stage": of_a_stage,
     "dialogs": of_dialogs,
+    "contents": of_contents,
     "files": of_files,
 }
 

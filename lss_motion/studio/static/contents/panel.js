@@ -62,7 +62,7 @@ function Event({ state, actions, file, own, index }) {
     <${NumberField} name="at" unit="s" value=${own.at_s} digits=${3} least=${0} set=${(/** @type {number} */ at_s) => set(["at_s"], at_s)} />
     ${own.say === undefined ? null : html`<${TextField} name="text" value=${own.say} set=${(/** @type {string} */ text) => set(["say"], text === "" ? "text" : text)} />`}
     ${own.run === undefined ? null : html`<span class="muted">calls ${own.run}</span>`}
-    ${own.sound === undefined ? null : html`<span class="name">${own.sound}</span>
+    ${own.sound === undefined ? null : html`<span class="name" title=${own.sound}>${own.sound}</span>
       <${NumberField} name="gain" unit="dB" value=${own.gain_db ?? 0} digits=${1} least=${-60} most=${20} set=${(/** @type {number} */ db) => set(["gain_db"], db === 0 ? null : db)} />`}
     ${Object.entries(own.led ?? {}).map(([joint, colour]) => html`<span class="led" key=${joint}>
       <${Pick} label="joint" options=${(state.view?.joints ?? []).map(({ name }) => name)} chosen=${joint}
@@ -183,7 +183,7 @@ function Layer({ state, actions, file, value, own, index, count }) {
   const move = (to) => contents.change(() => [moveOf(file, "layers", index, to)]);
   const joints = state.view?.joints.map(({ name }) => name) ?? [];
   const mask = own.joints ?? joints;
-  return html`<div class="item-head"><span class="name">${own.file}</span>
+  return html`<div class="item-head"><span class="name" title=${own.file}>${own.file}</span>
       <${MuteSolo} ...${{ actions, file, value, place: ["layers", index], name: own.file, isMuted: own.mute === true }} />
       <${Small} name=${`${own.file} further up`} text="↑" isOff=${index === count - 1} run=${() => move(index + 1)} />
       <${Small} name=${`${own.file} further down`} text="↓" isOff=${index === 0} run=${() => move(index - 1)} />
@@ -227,7 +227,7 @@ function PlayList({ state, actions, file, value }) {
         }} onPointerUp=${() => {
           if (dragged !== null) void move(dragged.from, dragged.to);
           setDragged(null);
-        }} onPointerCancel=${() => setDragged(null)}>⠿</span><span class="name">${stepText(own)}</span>
+        }} onPointerCancel=${() => setDragged(null)}>⠿</span><span class="name" title=${stepText(own)}>${stepText(own)}</span>
         <${Small} name=${`Step ${index + 1} earlier`} text="↑" isOff=${index === 0} run=${() => move(index, index - 1)} />
         <${Small} name=${`Step ${index + 1} later`} text="↓" isOff=${index === all.length - 1} run=${() => move(index, index + 1)} />
         <${Small} name=${`Remove step ${index + 1}`} text="✕" isOff=${all.length === 1} run=${() => contents.change(() => [removeOf(file, "play", index)])} /></div>

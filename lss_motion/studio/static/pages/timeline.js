@@ -47,7 +47,7 @@ export function TimelinePage({ state, actions, store }) {
       <section class="card" aria-label="Figure"><${FigurePanel} store=${store} isSought /></section>
       <section class="card about" aria-label="What is chosen" aria-live=${state.side === "chosen" ? "polite" : "off"}>
         <${Choice} label="beside the timeline" options=${SIDES} chosen=${state.side} choose=${(/** @type {State["side"]} */ side) => actions.set({ side })} />
-        ${state.side === "chosen" ? html`<${About} state=${state} actions=${actions} />` : html`<${Contents} state=${state} actions=${actions} />`}</section>
+        <div class="scroll about-part">${state.side === "chosen" ? html`<${About} state=${state} actions=${actions} />` : html`<${Contents} state=${state} actions=${actions} />`}</div></section>
     </aside>
     <${Menu} state=${state} actions=${actions} />
   </main>`;

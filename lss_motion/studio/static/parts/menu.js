@@ -39,12 +39,19 @@ export function Menu({ state, actions }) {
     const box = place.current;
     if (box === null || menu === null) return;
     const before = document.activeElement;
-    // It opens within the page, and never over the foot with both stops.
-    const foot_px = document.querySelector("#stops")?.getBoundingClientRect().top ?? innerHeight;
-    box.style.left = `${Math.max(Math.min(menu.x_px, innerWidth - box.offsetWidth - 8), 8)}px`;
-    box.style.top = `${Math.max(Math.min(menu.y_px, foot_px - box.offsetHeight - 8), 8)}px`;
+    // It is within the page, also when that is turned, and never over the foot with both stops.
+    const put = () => {
+      const foot_px = document.querySelector("#stops")?.getBoundingClientRect().top ?? innerHeight;
+      box.style.left = `${Math.max(Math.min(menu.x_px, innerWidth - box.offsetWidth - 8), 8)}px`;
+      box.style.top = `${Math.max(Math.min(menu.y_px, foot_px - box.offsetHeight - 8), 8)}px`;
+    };
+    put();
+    addEventListener("resize", put);
     box.querySelector("button")?.focus({ preventScroll: true });
-    return () => { if (before instanceof HTMLElement) before.focus({ preventScroll: true }); };
+    return () => {
+      removeEventListener("resize", put);
+      if (before instanceof HTMLElement) before.focus({ preventScroll: true });
+    };
   }, [menu]);
   if (menu === null) return null;
   /** @param {string} action */
