@@ -88,6 +88,7 @@ DESCRIPTION: Final = """\
 See and run a show in a browser: its plan, the moving figure, the state of every servo.
 
   lss-motion studio wave.yaml                              at this computer
+  lss-motion studio my_folder                              begin there, with nothing
   lss-motion studio wave.yaml --port /dev/ttyUSB0          on this port
   lss-motion studio wave.yaml --listen 192.168.1.20        for a tablet, too
 
@@ -102,7 +103,10 @@ def add_to(commands: Commands) -> None:
     _add_serve(commands)
     studio = add_command(commands, "studio", _studio, DESCRIPTION)
     studio.add_argument(
-        "file", type=Path, metavar="FILE", help="a sequence, a gait, a play list or a robot (.yaml)"
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="a sequence, a gait, a play list or a robot (.yaml), or a folder to begin in",
     )
     add_options(studio, "--port", "--robot", "--robot-cache")
     studio.add_argument(
@@ -129,7 +133,8 @@ def _studio(arguments: argparse.Namespace) -> int:
     from lss_motion.studio.desk import DeskOptions
     from lss_motion.studio.studio import StudioOptions
 
-    read_data(arguments.file)  # What cannot be read is said here, not in the browser.
+    if not arguments.file.is_dir():
+        read_data(arguments.file)  # What cannot be read is said here, not in the browser.
     host, port = _address(arguments.listen)
     tls = tls_of(arguments)
     options = StudioOptions(

@@ -20,9 +20,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from lss_motion.errors import InputError
 from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie, proved
+from lss_motion.studio.allowed import remembered
 from lss_motion.studio.client import Allowance, Client
 from lss_motion.studio.entrance import admit
-from lss_motion.studio.folder import listed
+from lss_motion.studio.folder import joints_of, listed
 from lss_motion.studio.planner import finite_json
 from lss_motion.studio.web import json_body
 
@@ -69,6 +70,7 @@ def make_app(studio: Studio, more: Sequence[BaseRoute] = ()) -> Starlette:
         Route("/text/{path:path}", _text),
         Route("/model/{revision:int}.json", _model),
         Route("/folder.json", _folder),
+        Route("/joints/{path:path}", _joints),
         Route("/stop", _stop, methods=["POST"]),
         Route("/estop", _stop, methods=["POST"]),
         WebSocketRoute("/ws", _socket),
@@ -232,6 +234,18 @@ async def _folder(request: Request) -> Response:
     if role < Role.OPERATE:
         return JSONResponse({"error": "this needs the role operate; you may look"}, 403)
     return JSONResponse(listed(_studio(request).document.folder))
+
+
+async def _joints(request: Request) -> Response:
+    """Return the joints of a robot file of the folder, to who may operate."""
+    role: Role = request.scope["role"]
+    if role < Role.OPERATE:
+        return JSONResponse({"error": "this needs the role operate; you may look"}, 403)
+    document, name = _studio(request).document, request.path_params["path"]
+    if name not in listed(document.folder)["robots"]:
+        return JSONResponse({"error": "no robot of this folder"}, 404)
+    path = document.inside(name)
+    return JSONResponse(joints_of(remembered(document.text(path), path).value))
 
 
 async def _socket(websocket: WebSocket) -> None:

@@ -284,6 +284,8 @@ class Desk:
         if newest.problems:
             path, line, text = newest.problems[0]
             raise InputError(f"there is no plan: {text}", path=path, line=line)
+        if newest.kind == "folder":
+            raise InputError("nothing is open yet; open a show, or make one")
         if newest.kind == "robot" and good is not None:
             raise InputError("this is a robot file, which has no show; open a sequence or a gait")
         raise InputError("the show is being planned; wait a moment")

@@ -1,5 +1,7 @@
 """The open file: its text, its revision, what is wrong in it, and the last plan that is good.
 
+Of a folder nothing is open until a client loads a file of it, or makes one.
+
 A file that is edited or changes on disk, or one that it includes, is planned again. While it is
 planned, and when it has an error, the last good plan stays: it can be seen and played.
 
@@ -68,7 +70,8 @@ class Document:
         changed: Callable[[], None],
         try_edit: Callable[[EditTrial], None] = lambda _: None,
     ) -> None:
-        self.folder = request.path.resolve().parent
+        own = request.path.resolve()
+        self.folder = own if own.is_dir() else own.parent
         """Nothing outside of it is opened, or given to a client."""
         self.revision = 0
         self.good: PlannerReply | None = None
@@ -100,7 +103,8 @@ class Document:
         """Open another file of the folder; raises `InputError` for one that is not there."""
         path = self.inside(name)
         self._require_yaml(path, name)
-        own = self._request.path.parent / path.relative_to(self.folder)
+        top = self._request.path
+        own = (top if top.is_dir() else top.parent) / path.relative_to(self.folder)
         self._request = replace(self._request, path=own)
         self.good, self._views, self._stamps = None, {}, {}
         self._newest = PlannerReply(number=0, title=path.stem)
@@ -373,7 +377,7 @@ class Document:
         newest = self._newest
         return m.DocumentChanged(
             revision=self.revision,
-            file=self.path.name,
+            file="" if newest.kind == "folder" else self.path.name,
             kind=newest.kind,
             title=newest.title,
             is_planning=self._is_planning,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,6 +35,18 @@ def listed(folder: Path) -> dict[str, list[str]]:
         if kind is not None:
             found[kind].append(path.relative_to(folder).as_posix())
     return {kind: sorted(names) for kind, names in found.items()}
+
+
+def joints_of(value: dict[str, Any]) -> dict[str, list[float] | None]:
+    """Return the joints of a robot file, each with its range where the file names one itself."""
+    joints, defaults = value.get("joints"), value.get("defaults")
+    shared = defaults.get("range_deg") if isinstance(defaults, dict) else None
+    if not isinstance(joints, dict):
+        return {}
+    return {
+        str(name): own.get("range_deg", shared) if isinstance(own, dict) else shared
+        for name, own in joints.items()
+    }
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -127,6 +127,8 @@ def _reply_to(request: Request, keep: Callable[[WholePlan], None]) -> PlannerRep
 
     found: dict[str, Any] = {"files": _first_files(request)}
     try:
+        if request.path.is_dir():
+            return PlannerReply(number=request.number, kind="folder", **found)
         if is_program(request.path):
             raise InputError(
                 "is a compiled program; open the sequence it was made of", path=request.path

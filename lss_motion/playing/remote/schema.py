@@ -41,7 +41,7 @@ Message = base.Message
 Operation = base.Operation
 Event = base.Event
 RoleName = Literal["view", "operate", "edit"]
-FileKind = Literal["sequence", "gait", "playlist", "robot", "stage"]
+FileKind = Literal["sequence", "gait", "playlist", "robot", "stage", "folder"]
 
 
 class Go(Operation, frozen=True, kw_only=True, tag="go"):

@@ -46,6 +46,7 @@ export function firstState() {
     pairing: null,
     model: null,
     folder: null,
+    touring: false,
     proposed: null,
     side: "chosen",
     page: "show",

@@ -133,6 +133,8 @@ export type State = {
   /** What the files hold, and what lies beside them; null until it was asked for. */
   model: import("./contents/editor.js").Model | null;
   folder: Record<"sequences" | "gaits" | "stages" | "robots" | "sounds", string[]> | null;
+  /** Whether the tour from nothing to a talking head is shown. */
+  touring: boolean;
   /** Beats that are proposed, in seconds of their sound. */
   proposed: number[] | null;
   /** What is beside the timeline: what is chosen, or what the show consists of. */

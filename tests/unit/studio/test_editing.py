@@ -579,6 +579,22 @@ def test_a_new_file_is_made_once_and_holds_nothing_that_no_edit_may_add(server, 
     assert server.text() == SHOW.removeprefix("\ufeff"), "the open file is as it was"
 
 
+def test_in_a_folder_nothing_is_open_until_a_file_of_it_is_loaded(folder):
+    request = Request(number=0, path=folder)
+    assert reply_to(request).kind == "folder"
+    document = Document(request, lambda _: None, lambda: None)
+    document.take(reply_to(request))
+    message = document.message()
+    assert (message.kind, message.file, message.errors, message.plan) == ("folder", "", (), None)
+    new = e.FileNew(id=1, revision=document.revision, file="new.yaml", text=SMALL)
+    assert document.edit(new) is True
+    with pytest.raises(InputError, match="not in the folder"):
+        document.load("../new.yaml")
+    document.load("new.yaml")
+    assert document.path == folder / "new.yaml"
+    assert document.message().file == "new.yaml"
+
+
 def test_long_lists_of_numbers_are_written_in_rows_with_the_ends_of_their_file(server):
     client = server.join()
     beats = [round(0.5 * n, 3) for n in range(1, 60)]

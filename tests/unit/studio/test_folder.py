@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lss_motion.studio.folder import listed
+from lss_motion.studio.folder import joints_of, listed
 
 
 def test_files_are_listed_by_kind_and_hidden_ones_are_not(tmp_path):
@@ -31,3 +31,13 @@ def test_files_are_listed_by_kind_and_hidden_ones_are_not(tmp_path):
         "stages": ["hall.yaml"],
         "sounds": ["song.OGG"],
     }
+
+
+def test_joints_have_the_range_that_the_file_names():
+    value = {
+        "defaults": {"range_deg": [-9, 9]},
+        "joints": {"a": {"id": 1, "range_deg": [5, 6]}, "b": 2},
+    }
+    assert joints_of(value) == {"a": [5, 6], "b": [-9, 9]}
+    assert joints_of({"joints": {"a": {"id": 1}}}) == {"a": None}
+    assert joints_of({"joints": []}) == {}

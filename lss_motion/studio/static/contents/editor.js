@@ -34,10 +34,10 @@ export class ContentsEditor {
   }
 
   /** Fetch what the files hold, while it can be seen. */
-  async #fetch() {
+  async #fetch(isAnywhere = false) {
     const { document: own, welcome, page, model } = this.store.state.value;
     const revision = own?.revision ?? -1;
-    if (page !== "timeline" || own === null || welcome === null || welcome.role === "view") return;
+    if (page !== "timeline" && !isAnywhere || own === null || welcome === null || welcome.role === "view") return;
     if (this.#asked === revision && model?.revision === revision) return;
     this.#asked = revision;
     this.#fetches += 1;
@@ -103,10 +103,10 @@ export class ContentsEditor {
     });
   }
 
-  /** Look again what lies in the folder. */
+  /** Look again what lies in the folder, on whatever page. */
   async refresh() {
     this.#asked = -1;
-    await this.#fetch();
+    await this.#fetch(true);
   }
 
   /** Make a file that is not there yet; throws what the server refuses with. @param {string} file @param {string} text */

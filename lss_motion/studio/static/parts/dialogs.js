@@ -2,6 +2,7 @@
 /** Every question, and help: STOP works above them, by key and by the buttons. */
 
 import { html, useLayoutEffect, useRef, useState } from "../vendor/preact.js";
+import { Files } from "../contents/files.js";
 import { KEYMAP, STOP_KEYS } from "../keymap.js";
 import { Choice } from "./choice.js";
 import { FileText } from "./text.js";
@@ -14,6 +15,7 @@ export function Dialogs({ state, actions }) {
   if (dialog === null) return null;
   const close = () => actions.set({ dialog: null });
   if (dialog.kind === "help") return html`<${Box} title="Keys" close=${close}><${Help} /></${Box}>`;
+  if (dialog.kind === "files") return html`<${Box} title="Files" close=${close}><${Files} state=${state} actions=${actions} /></${Box}>`;
   if (dialog.kind === "text") {
     const file = dialog.file ?? "";
     return html`<${Box} title=${file} close=${close}><${FileText} ...${{ state, actions, file }} line=${dialog.line ?? null} /></${Box}>`;

@@ -2,6 +2,7 @@
 /** The head of every page: what is open, the pages, who operates, the state, and what is wrong. */
 
 import { html } from "../vendor/preact.js";
+import { Tour } from "../contents/files.js";
 import { stateOf } from "../states.js";
 import { FileLine, silenceOf } from "./text.js";
 
@@ -17,7 +18,8 @@ export function Header({ state, actions }) {
   return html`<header class="head">
     <div class="head-title">
       <strong class="name" title=${title}>${title}</strong>
-      <span class="muted name" title=${own?.file ?? ""}>${own?.file ?? ""}</span>
+      ${state.welcome?.role === "view" ? html`<span class="muted name" title=${own?.file ?? ""}>${own?.file ?? ""}</span>`
+        : html`<button type="button" class="plain name" title="Open, new, duplicate" aria-label=${`Files: ${own?.file ?? ""}`} onClick=${() => actions.set({ dialog: { kind: "files" } })}>${own?.file || "Files"} ▾</button>`}
     </div>
     <nav role="tablist" aria-label="Pages">
       ${PAGES.map(([page, name]) => html`<button role="tab" type="button" class="tab" aria-selected=${state.page === page}
@@ -87,6 +89,7 @@ function ChangedOnDisk({ state, actions, file, difference }) {
 export function Banners({ state, actions }) {
   const { player, document: own, welcome, refusal } = state;
   return html`<div class="banners">
+    <${Tour} state=${state} actions=${actions} />
     ${refusal ? html`<p class=${`banner ${refusal.is_hint ? "banner-note" : "banner-warn"}`} role="alert" key=${refusal.number}>${refusal.is_hint ? "" : "✕ "}${refusal.text}
       <button type="button" onClick=${() => actions.set({ refusal: null })}>Close</button></p>` : null}
     ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><${FileLine} actions=${actions} file=${error.path} line=${error.line} /> ${error.text}</p>`)}

@@ -96,6 +96,7 @@ export function whyNoPlan({ document: own }) {
     const silence = silenceOf(own?.planning_s ?? 0);
     return `The file is being planned…${silence === "" ? "" : ` ${silence[0]?.toUpperCase()}${silence.slice(1)}.`}`;
   }
+  if (own.kind === "folder") return "Nothing is open. Files, at the top left, opens a show of this folder, makes a new one, or a new figure.";
   if (own.kind === "robot") return "This is a robot file, which has no show. Open a sequence, a gait or a play list; the Robot page moves this robot.";
   if (own.kind === "stage") return `This is a stage: many shows on cues. It is run by: lss-motion serve ${own.file}. To look at one of its shows, open its file.`;
   if (own.errors.length > 0) return "There is no plan: the file has an error, which stands above.";
