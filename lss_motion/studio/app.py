@@ -191,7 +191,7 @@ async def _view(request: Request) -> Response:
     view = _studio(request).document.view(request.path_params["plan"])
     if view is None:
         return JSONResponse({"error": "this plan is not kept any more"}, 404)
-    headers = {"cache-control": "private, max-age=86400, immutable"}
+    headers = {"cache-control": "no-store"}  # Another text may have the same plan.
     return Response(view, media_type="application/json", headers=headers)
 
 

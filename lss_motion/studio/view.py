@@ -284,6 +284,7 @@ def _keys(
                 "line": frame.line,
                 "place": frame.place,
                 "deg": {name: round(frame.deg[name], 4) for name in names},
+                "slope_deg_s": {n: one for n, one in frame.slope_deg_s.items() if n in names},
             }
 
 

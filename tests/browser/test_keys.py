@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
+import numpy as np
 import pytest
 
-from tests.browser.test_shaping import ROBOT, SHOW, shaping
+from lss_motion.planning.shows import compiled, load
+from tests.browser.test_shaping import CHECKED, ROBOT, SHOW, shaping
 
 pytestmark = pytest.mark.slow
 
@@ -91,3 +95,48 @@ def test_a_box_begins_on_a_key(shaped):
     shaped.drag((x, y), (2.1 * per_s, 8))
     assert shaped.chosen() == "2 keys"
     assert shaped.text() == SHOW
+
+
+def handle_end(own, side=1):
+    """Return where the end of the handle of the chosen key of `pan` at 2 s is, for its slope."""
+    x, y, per_s, per_deg = own.place("pan", 2, 40)
+    slope = float(own.page.run("document.querySelector('[data-field=\"pan slope\"]').value"))
+    rise = -slope / per_s * per_deg
+    along = side * 42 / (1 + rise * rise) ** 0.5
+    return x, y, x + along, y + along * rise
+
+
+def test_slopes_are_given_by_v_by_typing_and_by_handles(shaped):
+    page = shaped.page
+    x, y, *_ = shaped.place("pan", 2, 40)
+    shaped.click(x, y)
+    page.key("v")
+    given = SHOW.replace("label: up}", "label: up, slope_deg_s: {pan: 0}}")
+    shaped.becomes(given)
+    page.key("v")
+    page.key("v")
+    shaped.becomes(SHOW)
+    page.key("v")
+    shaped.becomes(given)
+    x, y, end_x, end_y = handle_end(shaped)
+    shaped.drag((end_x, end_y), (0, y - end_y - 30))
+    page.wait(
+        f"{CHECKED} && Number(document.querySelector('[data-field=\"pan slope\"]').value) > 10"
+    )
+    slope = re.search(r"slope_deg_s: \{pan: (\d+)\}", shaped.text()).group(1)
+    path = shaped.path.with_name("sloped.yaml")
+    path.write_text(shaped.text(), encoding="utf-8")
+    trajectory = compiled(*load(path, None)).trajectory
+    deg_s = trajectory.sample(np.array([2.0]), 1)[0, trajectory.joints.index("pan")]
+    assert deg_s == pytest.approx(float(slope), abs=0.5), "it is planned so"
+    page.key("Control+z")
+    shaped.becomes(given)
+    page.run("document.querySelector('[data-field=\"pan slope\"]').focus()")
+    page.run("document.querySelector('[data-field=\"pan slope\"]').select()")
+    page.call("Input.insertText", text="-12.5")
+    page.key("Enter")
+    shaped.becomes(given.replace("slope_deg_s: {pan: 0}", "slope_deg_s: {pan: -12.5}"))
+    x, y, *_ = shaped.place("pan", 0, 0)
+    shaped.click(x, y)
+    page.key("v")
+    page.wait("document.querySelector('.banners').textContent.includes('not its first or last')")

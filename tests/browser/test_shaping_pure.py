@@ -13,7 +13,8 @@ VIEW = """
 const lane = (name, keys, more) => ({ name, kind: 'track', file: 'show.yaml', is_added: false,
   joints: ['pan', 'tilt'], keys, times_s: Float64Array.from(keys, (own) => own.at_s), ...more });
 const item = (n, at_s, deg, more) => ({ at_s, authored_s: at_s, hold_s: 0, is_anchor: false,
-  label: '', ease: 'smooth', line: n + 4, place: ['keyframes', n], deg, ...more });
+  label: '', ease: 'smooth', line: n + 4, place: ['keyframes', n], deg, slope_deg_s: {},
+  ...more });
 const lanes = [lane('show', [item(0, 0, { pan: 0, tilt: 0 }), item(1, 2, { pan: 40, tilt: -20 }),
   item(2, 4, { pan: 0 }), item(3, 6, { pan: 30, tilt: 10 }, { hold_s: 1 })])];
 const keys = { pan: [], tilt: [] };

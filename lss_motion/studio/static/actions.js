@@ -15,8 +15,8 @@ const STEP_S = 0.01;
 const STEP_DEG = 0.5;
 /** What is done to keys, for which a person has to be allowed to edit, and what needs chosen ones. */
 const EDITS = new Set(["add", "delete", "cut", "paste", "ease", "anchor", "undo", "redo", "save", "hold", "label", "type_value", "grab", "scale",
-  "duplicate", "mirror"]);
-const OF_CHOSEN = new Set(["delete", "copy", "cut", "ease", "anchor", "hold", "label", "type_value", "grab", "scale", "duplicate", "mirror"]);
+  "duplicate", "mirror", "slope"]);
+const OF_CHOSEN = new Set(["delete", "copy", "cut", "ease", "anchor", "hold", "label", "type_value", "grab", "scale", "duplicate", "mirror", "slope"]);
 const GO_DEBOUNCE_MS = 400;
 const ZOOM = 1.5;
 
@@ -63,6 +63,7 @@ export class Actions {
       scale: () => this.board?.grab("scale"),
       duplicate: () => this.board?.grab("copy"),
       mirror: () => this.editor.mirror(),
+      slope: () => this.editor.slope(),
       choose_box: () => this.board?.arm(),
       undo: () => this.editor.ask("undo"),
       redo: () => this.editor.ask("redo"),

@@ -7,6 +7,7 @@
 import { addOf, copied, deleteOf, editOf, mirrorOf, moveOf, nextEase, pasteOf, scaleOf, setOf } from "./edits.js";
 import { draggedTime, plannedAt, withinRange, withinShow } from "./timeline/draft.js";
 import { allKeys, placesOf, refound } from "./timeline/keys.js";
+import { handleOf, handlesOf, nextSlope } from "./timeline/slopes.js";
 import { layoutOf, walkedRows } from "./timeline/layout.js";
 
 /** @typedef {import("./store.js").Store} Store */
@@ -122,7 +123,7 @@ export class Editor {
     this.choose([]);
   }
 
-  /** @param {{ deg?: Record<string, number | null>, values?: Record<string, unknown> }} change */
+  /** @param {{ deg?: Record<string, number | null>, slope_deg_s?: Record<string, number | null>, values?: Record<string, unknown> }} change */
   set(change) {
     this.#edit((view, keys) => setOf(view, keys, change));
   }
@@ -132,6 +133,28 @@ export class Editor {
     const [first] = this.keys;
     const own = first === undefined ? undefined : this.#view?.lanes[first.lane]?.keys[first.key];
     if (own !== undefined) this.set({ values: { ease: nextEase(own.ease) } });
+  }
+
+  /** Give the chosen key of a joint the next slope: flat, free, and none of its own. */
+  slope() {
+    const view = this.#view;
+    const [first] = view === null ? [] : handlesOf(view, this.keys);
+    if (first !== undefined) this.setSlope(first, nextSlope);
+    else {
+      const text = "Choose a key in the row of a joint that passes it: not its first or last, not held, smooth or spline to and from it.";
+      this.store.dispatch({ type: "refused", is_hint: true, text });
+    }
+  }
+
+  /** Set the slope with which a joint passes a chosen key; null: the curve finds it.
+   * @param {import("./timeline/slopes.js").Handle} handle
+   * @param {(view: import("./state.js").View, handle: import("./timeline/slopes.js").Handle) => number | null} slopeOf */
+  setSlope({ joint, key: index }, slopeOf) {
+    this.#edit((view, keys) => {
+      const ref = keys.find((own) => own.key === index);
+      const handle = ref === undefined ? null : handleOf(view, { ...ref, joint });
+      return ref === undefined || handle === null ? null : setOf(view, [ref], { slope_deg_s: { [joint]: slopeOf(view, handle) } });
+    });
   }
 
   /** Make the chosen keys anchors, or no more. */
@@ -210,6 +233,14 @@ export class Editor {
   async triedDraft(draft) {
     const { view, ripple } = this.store.state.value;
     const edit = view === null ? null : editOf(view, this.keys, draft, ripple);
+    return edit === null ? null : this.tried(edit);
+  }
+
+  /** Return what the slope of a handle would do. @param {import("./timeline/slopes.js").Handle} handle
+   * @returns {Promise<import("./state.js").Tried | null>} */
+  async triedSlope({ joint, slope, ...ref }) {
+    const { view } = this.store.state.value;
+    const edit = view === null ? null : setOf(view, [{ ...ref, joint }], { slope_deg_s: { [joint]: slope } });
     return edit === null ? null : this.tried(edit);
   }
 

@@ -77,7 +77,7 @@ export function deleteOf(view, keys, ripple) {
 }
 
 /** Set angles or values of keys; null removes. @param {View} view @param {KeyRef[]} keys
- * @param {{ deg?: Record<string, number | null>, values?: Record<string, unknown> }} change @returns {Edit | null} */
+ * @param {{ deg?: Record<string, number | null>, slope_deg_s?: Record<string, number | null>, values?: Record<string, unknown> }} change @returns {Edit | null} */
 export function setOf(view, keys, change) {
   const own = addressesOf(view, keys.map((one) => ({ ...one, joint: null })));
   return own.length === 0 ? null : { op: "key.set", fields: { keys: own, ...change } };
@@ -109,13 +109,14 @@ export function copied(view, keys) {
   const first_s = Math.min(...own.map(({ item }) => item.at_s));
   return own.map(({ lane, item, joints }) => ({
     lane, after_s: item.at_s - first_s, deg: joints === null ? item.deg
-      : Object.fromEntries(joints.map((joint) => [joint, item.deg[joint] ?? 0])), values: valuesOf(item),
+      : Object.fromEntries(joints.map((joint) => [joint, item.deg[joint] ?? 0])), values: valuesOf(item, joints),
   }));
 }
 
-/** What a key says besides its angles; a label is a name, which a copy does not have. @param {Key} item */
-function valuesOf(item) {
-  return { ...(item.hold_s > 0 ? { hold_s: Number(item.hold_s.toFixed(3)) } : {}), ...(item.ease === "smooth" ? {} : { ease: item.ease }) };
+/** What a key says besides its angles; a label is a name, which a copy does not have. @param {Key} item @param {string[] | null} joints */
+function valuesOf(item, joints) {
+  const slopes = Object.entries(item.slope_deg_s).filter(([joint]) => joints === null || joints.includes(joint));
+  return { ...(slopes.length > 0 ? { slope_deg_s: Object.fromEntries(slopes) } : {}), ...(item.hold_s > 0 ? { hold_s: Number(item.hold_s.toFixed(3)) } : {}), ...(item.ease === "smooth" ? {} : { ease: item.ease }) };
 }
 
 /** Paste keys from an instant on, each into its lane.

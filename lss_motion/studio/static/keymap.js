@@ -36,6 +36,7 @@ export const KEYMAP = [
   { keys: ["x"], action: "axis_time", text: "while dragging: in time only, or free again", pages: ["timeline"] },
   { keys: ["y"], action: "axis_angle", text: "while dragging: in angle only, or free again", pages: ["timeline"] },
   { keys: ["t"], action: "ease", text: "next ease of the chosen keys", pages: ["timeline"] },
+  { keys: ["v"], action: "slope", text: "slope of the chosen key of a joint: flat, free (drag its handles), of the curve", pages: ["timeline"] },
   { keys: ["h"], action: "hold", text: "how long a key is held", pages: ["timeline"] },
   { keys: ["l"], action: "label", text: "label of a key", pages: ["timeline"] },
   { keys: ["n"], action: "anchor", text: "anchor, or no more", pages: ["timeline"] },

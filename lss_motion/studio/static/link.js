@@ -162,12 +162,12 @@ export class ServerLink {
         this.#store.dispatch({ type: "set", fields: { robot: await response.json() } });
       }).catch(() => void (this.#robot = -1));
     }
-    // Another text may have the same plan, with its keys on other lines.
+    // Another text may have the same plan, with other keys: of now, or of before.
     const isSame = event.plan === this.#plan;
     if (event.plan === null || isSame && (!event.is_current || event.revision === this.#revision)) return;
     this.#plan = event.plan;
     const revision = this.#revision = event.is_current ? event.revision : -1;
-    fetch(`/view/${event.plan}.json`, isSame ? { cache: "reload" } : {}).then(async (response) => {
+    fetch(`/view/${event.plan}.json`, { cache: "reload" }).then(async (response) => {
       const json = await response.json();
       if (!response.ok) throw new Error(json.error);
       if (this.#plan === json.plan && this.#revision === revision) {

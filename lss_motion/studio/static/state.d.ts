@@ -6,6 +6,8 @@ export type Span = { from_s: number; to_s: number; joint: string; text: string }
 export type Key = {
   at_s: number; authored_s: number | null; hold_s: number; is_anchor: boolean; label: string;
   ease: string; line: number | null; deg: Record<string, number>;
+  /** With which joints pass it by the author's word; of others the curve finds it. */
+  slope_deg_s: Record<string, number>;
   /** Where its item stands in the file of its lane. */
   place: (string | number)[] | null;
 };

@@ -9,6 +9,7 @@ import { Choice } from "../parts/choice.js";
 import { FileLine } from "../parts/text.js";
 import { lateOf, repairsOf, slackOf } from "../repairs.js";
 import { wholeKeys } from "../timeline/keys.js";
+import { handleOf } from "../timeline/slopes.js";
 import { timeText } from "../timeline/window.js";
 import { PoseSliders } from "./pose.js";
 
@@ -55,7 +56,7 @@ function AboutKey({ state, view, own, lane, actions }) {
         const [least, most] = lane.is_added ? [undefined, undefined] : limits.range_deg;
         return html`<tr key=${joint}><th scope="row">${joint}</th>
           <td><${NumberField} name=${joint} unit="°" value=${deg} digits=${4} ...${{ least, most }} isBare set=${(/** @type {number} */ to_deg) => editor.set({ deg: { [joint]: to_deg } })} /></td>
-          <td class="number">${number(angleAt(curve, own.at_s), 2)}</td><td class="number">${number(valueAt(curve, own.at_s, 1), 1)}</td></tr>`;
+          <td class="number">${number(angleAt(curve, own.at_s), 2)}</td><td class="number"><${Slope} ...${{ view, actions, joint, own: refOf(state) }} /></td></tr>`;
       })}</tbody></table>
     <div class="fields">
       ${authored_s === null ? null : html`<${NumberField} name="at" unit="s" value=${authored_s} digits=${3} least=${0}
@@ -70,6 +71,17 @@ function AboutKey({ state, view, own, lane, actions }) {
     <${Spare} view=${view} own=${refOf(state)} />
     <${Repairs} ...${{ state, view, actions, own: refOf(state) }} />
     <${Limits} state=${state} view=${view} joints=${Object.keys(own.deg)} />`;
+}
+
+/** With which speed a joint passes the key: as it was given, else as it is planned.
+ * @param {{ view: View, actions: Actions, joint: string, own: import("../state.js").KeyRef }} props */
+function Slope({ view, actions, joint, own }) {
+  const handle = handleOf(view, { ...own, joint });
+  const key = view.lanes[own.lane]?.keys[own.key];
+  const curve = view.curves[joint]?.plan;
+  if (handle === null) return curve === undefined || key === undefined ? null : number(valueAt(curve, key.at_s, 1), 1);
+  return html`<span class=${handle.isGiven ? "" : "muted"}><${NumberField} name=${`${joint} slope`} unit="" value=${handle.slope} digits=${1} isBare
+    set=${(/** @type {number} */ slope) => actions.editor.setSlope(handle, () => slope)} /></span>`;
 }
 
 /** The key that is chosen, for those who show one. @param {State} state @returns {import("../state.js").KeyRef} */

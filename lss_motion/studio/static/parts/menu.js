@@ -22,6 +22,7 @@ function entriesOf(actions, menu) {
     { action: "mirror", text: "Mirror", keys: "Ctrl M", ...isKey },
     { action: "type_value", text: "Type a value", keys: "Enter", ...isKey },
     { action: "ease", text: "Next ease", keys: "T", ...isKey },
+    { action: "slope", text: "Slope: flat, free, or not", keys: "V", ...isKey },
     { action: "hold", text: "Hold …", keys: "H", ...isKey },
     { action: "anchor", text: "Anchor, or not", keys: "N", ...isKey },
     { action: "label", text: "Label …", keys: "L", ...isKey },

@@ -6,10 +6,11 @@
 
 import { angleAt, usedOf, withinView } from "../curves.js";
 import { onFrame, requestFrame } from "../frames.js";
-import { draftName, draftOf, draftText, isNothing } from "./draft.js";
+import { draftName, draftOf, draftText, isNothing, triedTexts } from "./draft.js";
 import { drawLive, drawNames, drawTimeline, scaleOf } from "./draw.js";
 import { drawBeats } from "./draw_beats.js";
-import { drawBox, drawDraft, drawInstant } from "./draw_draft.js";
+import { drawBox, drawDraft, drawInstant, drawWindow, drawWords } from "./draw_draft.js";
+import { drawBent, drawHandles, endAt, handleOf, handlesOf, slopeText, turned } from "./slopes.js";
 import { afterInput, HELD_MS, REST } from "./gestures.js";
 import { hitAt, REACH_PX, TOUCH_REACH_PX } from "./hit.js";
 import { heightOf, isSame, joined, keysInBox } from "./keys.js";
@@ -254,24 +255,62 @@ export class TimelineBoard {
       const { at_s, what } = this.#eventAt(gesture);
       drawInstant(live, scene, at_s, [view.events[gesture.hit.event]?.text ?? "", what], gesture.at);
     }
+    if (gesture.kind === "slope") this.#drawSlope(live, scene, gesture);
+    else if (scene.order === 0) this.#drawHandles(live, scene, handlesOf(view, this.#editor.keys));
     const draft = gesture.kind === "keys" ? this.#draft(gesture) : null;
     if (gesture.kind !== "keys" || draft === null) return;
-    void this.#try(draft);
+    if (draft.keys.length <= TRIED_MAX) void this.#try(draftName(draft), () => this.#editor.triedDraft(draft));
     const tried = this.#trial.name === draftName(draft) ? this.#trial.tried : null;
     const words = draftText(view, draft, gesture.hit, tried);
     this.#element.dataset["draft"] = words.join("; ");
     drawDraft(live, scene, draft, { held: gesture.hit, at: gesture.at, tried, words });
   }
 
-  /** Ask the planner for the newest draft, one at a time. @param {import("./draft.js").Draft} draft */
-  async #try(draft) {
-    const name = draftName(draft);
-    if (this.#isTrying || name === this.#trial.name || draft.keys.length > TRIED_MAX) return;
+  /** @param {CanvasRenderingContext2D} ctx @param {import("./draw.js").Scene} scene @param {import("./slopes.js").Handle[]} handles */
+  #drawHandles(ctx, scene, handles) {
+    for (const row of scene.rows) {
+      if (row.kind !== "joint") continue;
+      drawHandles(ctx, scene, handles.filter((one) => one.joint === row.name), this.#scale(row).y, scene.palette.selected);
+    }
+  }
+
+  /** A handle that is dragged: the curve that it makes, and what the planner says of it. @param {CanvasRenderingContext2D} ctx
+   * @param {import("./draw.js").Scene} scene @param {Extract<import("./gestures.js").Gesture, { kind: "slope" }>} gesture */
+  #drawSlope(ctx, scene, gesture) {
+    const row = scene.rows.find((own) => own.kind === "joint" && own.name === gesture.hit.joint);
+    const handle = this.#turned(gesture);
+    if (row === undefined || handle === null) return;
+    const { y } = this.#scale(row);
+    const name = `slope ${handle.slope}`;
+    void this.#try(name, () => this.#editor.triedSlope(handle));
+    const tried = this.#trial.name === name ? this.#trial.tried : null;
+    const isSlow = tried?.problem != null || (tried?.window?.slow.length ?? 0) > 0;
+    const colour = isSlow ? scene.palette.stretched : scene.palette.selected;
+    if (tried?.window != null) drawWindow(ctx, scene, row, tried.window, colour);
+    drawBent(ctx, scene, handle, y, colour);
+    drawHandles(ctx, scene, [handle], y, colour);
+    const words = [slopeText(handle), ...(tried === null ? [] : triedTexts(tried))];
+    this.#element.dataset["draft"] = words.join("; ");
+    drawWords(ctx, scene, words, gesture.at, isSlow);
+  }
+
+  /** Return the handle as it is dragged. @param {Extract<import("./gestures.js").Gesture, { kind: "slope" }>} gesture */
+  #turned({ hit, at, isFine }) {
+    const handle = this.#view === null ? null : handleOf(this.#view, hit);
+    const row = this.#layout === null ? undefined : rowsInSight(this.#layout, this.#scroll_px, this.#height_px)
+      .find((own) => own.kind === "joint" && own.name === hit.joint);
+    return handle === null || row === undefined ? null : turned(handle, hit.side, at, this.#seen, this.#scale(row).y, isFine);
+  }
+
+  /** Ask the planner for the newest draft, one at a time. @param {string} name
+   * @param {() => Promise<import("../state.js").Tried | null>} ask */
+  async #try(name, ask) {
+    if (this.#isTrying || name === this.#trial.name) return;
     this.#isTrying = true;
-    const tried = await this.#editor.triedDraft(draft);
+    const tried = await ask();
     this.#isTrying = false;
     this.#trial = { name, tried };
-    if (this.#gesture.kind === "keys") this.#redraw();
+    if (this.#gesture.kind === "keys" || this.#gesture.kind === "slope") this.#redraw();
   }
 
   /** @param {import("../state.js").State} state @returns {number | null} */
@@ -318,7 +357,7 @@ export class TimelineBoard {
     this.#pointer = fingerOf(event);
     if (this.#gesture.kind === "rest") {
       const kind = this.#hit(event)?.kind ?? "nothing";
-      this.#element.style.cursor = kind === "key" ? "grab" : kind === "span" ? "pointer" : "";
+      this.#element.style.cursor = kind === "key" || kind === "handle" ? "grab" : kind === "span" ? "pointer" : "";
       return;
     }
     this.#handle({ kind: "move", finger: fingerOf(event), isFine: event.shiftKey, snaps: event.ctrlKey || event.metaKey });
@@ -331,7 +370,7 @@ export class TimelineBoard {
     this.#gesture = next;
     const isHeld = next.kind === "press" || next.kind === "event" && !next.isMoved || next.kind === "pan" && !next.isMoved;
     if (!isHeld) window.clearTimeout(this.#held);
-    if (next.kind === "keys" && before !== "keys") {
+    if ((next.kind === "keys" || next.kind === "slope") && before !== next.kind) {
       this.#trial = { name: "", tried: null };
       this.#element.style.cursor = "grabbing";
       this.#store.dispatch({ type: "set", fields: { is_dragging: true } });
@@ -444,6 +483,8 @@ export class TimelineBoard {
   #commit(gesture) {
     const event = gesture.kind === "event" ? this.#view?.events[gesture.hit.event] : undefined;
     if (gesture.kind === "event" && event !== undefined) void this.#actions.contents.moveEvent(event, this.#eventAt(gesture).at_s);
+    const handle = gesture.kind === "slope" ? this.#turned(gesture) : null;
+    if (handle !== null) this.#editor.setSlope(handle, () => handle.slope);
     if (gesture.kind !== "keys") return;
     const draft = this.#draft(gesture);
     if (draft !== null && !isNothing(draft)) this.#editor.takeDraft(draft);
@@ -520,6 +561,11 @@ export class TimelineBoard {
     const isTouch = /** @type {PointerEvent} */ (event).pointerType === "touch";
     const point = { x_px: event.offsetX, y_px: event.offsetY, reach_px: isTouch ? TOUCH_REACH_PX : REACH_PX };
     if (this.#store.state.value.order !== 0) return hitAt(this.#view, rows, this.#seen, point);
+    const row = rows.find((own) => own.kind === "joint" && point.y_px >= own.y_px && point.y_px < own.y_px + own.height_px);
+    for (const handle of row === undefined ? [] : handlesOf(this.#view, this.#editor.keys)) {
+      const end = row?.name === handle.joint ? endAt(handle, this.#seen, this.#scale(row).y, point) : undefined;
+      if (end !== undefined) return { .../** @type {const} */ ({ kind: "handle" }), ...handle, side: end.side };
+    }
     return hitAt(this.#view, rows, this.#seen, { ...point, yOf: (row, key) => this.#keyY(row, key) });
   }
 

@@ -211,7 +211,7 @@ export function isLate(draft, tried) {
 }
 
 /** Return what the planner says of a draft. @param {import("../state.js").Tried} tried @returns {string[]} */
-function triedTexts({ problem, window }) {
+export function triedTexts({ problem, window }) {
   if (problem !== null) return [problem];
   if (window === null) return [];
   const missed = window.keys.filter((key) => key.is_missed).map((key) => (

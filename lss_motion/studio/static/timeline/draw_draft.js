@@ -111,7 +111,7 @@ function drawWays(ctx, { seen }, split, draft, colour, y) {
 
 /** The plan that the edit would have. @param {Ctx} ctx @param {Scene} scene @param {import("./layout.js").Row} row
  * @param {import("../state.js").TriedWindow} window @param {string} colour */
-function drawWindow(ctx, scene, row, window, colour) {
+export function drawWindow(ctx, scene, row, window, colour) {
   const deg = window.deg[row.name];
   if (deg === undefined) return;
   const { y } = scaleOf(scene, row);
@@ -144,7 +144,7 @@ function drawCorridor(ctx, scene, row, { stops, own }) {
 }
 
 /** @param {Ctx} ctx @param {Scene} scene @param {string[]} whole @param {{ x_px: number, y_px: number }} at @param {boolean} hasTrouble */
-function drawWords(ctx, scene, whole, at, hasTrouble) {
+export function drawWords(ctx, scene, whole, at, hasTrouble) {
   const texts = whole.flatMap((text) => wrapped(text, WORDS_MAX_CHARS));
   if (texts.length === 0) return;
   const { palette, seen, height_px } = scene;

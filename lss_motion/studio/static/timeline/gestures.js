@@ -10,6 +10,7 @@
 /** @typedef {{ id: number, x_px: number, y_px: number }} Finger */
 /** @typedef {{ kind: "event", event: number, at_s: number }} EventHit */
 /** @typedef {{ kind: "key", lane: number, key: number, joint: string | null, at_s: number }} KeyHit */
+/** @typedef {Extract<Hit, { kind: "handle" }>} HandleHit */
 /**
  * @typedef {{ kind: "rest" }
  *   | { kind: "cursor", at: Finger }
@@ -17,6 +18,7 @@
  *   | { kind: "pinch", at: Finger, other: Finger }
  *   | { kind: "press", at: Finger, from: Finger, hit: KeyHit, isAdded: boolean }
  *   | Dragged
+ *   | { kind: "slope", at: Finger, from: Finger, hit: HandleHit, isFine: boolean }
  *   | { kind: "armed" }
  *   | { kind: "event", at: Finger, from: Finger, hit: EventHit, isMoved: boolean, isFine: boolean, snaps: boolean }
  *   | { kind: "box", at: Finger, from: Finger, isMoved: boolean, isAdded: boolean, hit: Hit | null }} Gesture
@@ -89,7 +91,7 @@ export function afterInput(gesture, input) {
     case "arm":
       return [gesture.kind === "rest" ? { kind: "armed" } : gesture, []];
     default:
-      return [REST, ["keys", "event", "box", "armed"].includes(gesture.kind) ? [{ act: "undraft" }] : []];
+      return [REST, ["keys", "event", "slope", "box", "armed"].includes(gesture.kind) ? [{ act: "undraft" }] : []];
   }
 }
 
@@ -114,6 +116,7 @@ function afterDown(gesture, { finger, hit, isTouch, isMiddle, isAdded, isChosen 
   if (isMiddle) return [{ kind: "pan", at: finger, from: finger, isMoved: false, hit: null }, []];
   if (hit?.kind === "ruler") return [{ kind: "cursor", at: finger }, [{ act: "cursor", x_px: finger.x_px }]];
   if (hit?.kind === "event") return [{ kind: "event", at: finger, from: finger, hit, isMoved: false, isFine: false, snaps: false }, []];
+  if (hit?.kind === "handle") return [{ kind: "slope", at: finger, from: finger, hit, isFine: false }, []];
   if (hit?.kind === "key") {
     return [{ kind: "press", at: finger, from: finger, hit, isAdded },
       isChosen || isAdded ? [] : [{ act: "choose", hit, isAdded: false }]];
@@ -152,6 +155,8 @@ function afterMove(gesture, { finger, isFine, snaps }) {
       return [{ ...gesture, at: finger, isMoved: true, isFine, snaps }, [{ act: "draft" }]];
     case "keys":
       return [{ ...gesture, at: finger, isFine, snaps }, [{ act: "draft" }]];
+    case "slope":
+      return [{ ...gesture, at: finger, isFine }, [{ act: "draft" }]];
     default:
       if (!gesture.isMoved && away(gesture.from, finger) < DRAG_PX) return [gesture, []];
       return [{ ...gesture, at: finger, isMoved: true }, [{ act: "draft" }]];
@@ -185,6 +190,8 @@ function afterUp(gesture, finger) {
       return [REST, [{ act: "commit", gesture }, { act: "undraft" }]];
     case "keys":
       return taken(gesture);
+    case "slope":
+      return [REST, away(gesture.from, finger) < DRAG_PX ? [{ act: "undraft" }] : [{ act: "commit", gesture }, { act: "undraft" }]];
     case "box": {
       const { from, at, isAdded, isMoved, hit } = gesture;
       if (isMoved) return [REST, [{ act: "box", from, to: at, isAdded }, { act: "undraft" }]];

@@ -20,6 +20,7 @@ export const TOUCH_REACH_PX = 22;
 /**
  * @typedef {{ kind: "ruler", at_s: number }
  *   | { kind: "key", lane: number, key: number, joint: string | null, at_s: number }
+ *   | { kind: "handle", lane: number, key: number, joint: string, side: 1 | -1, at_s: number }
  *   | { kind: "span", list: "stretched" | "given_up", index: number, at_s: number }
  *   | { kind: "event", event: number, at_s: number }
  *   | { kind: "mark", label: string, at_s: number }
