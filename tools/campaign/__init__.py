@@ -9,6 +9,7 @@
 | `readers.py` | kind `readers`: damaged files of every foreign format |
 | `interrupts.py` | kind `interrupts`: commands with a port, interrupted at any byte |
 | `hands.py` | kind `hands`: joints in the hands of a person, with faults |
+| `live_edits.py` | kind `live_edits`: shows that are edited while they play |
 | `three_shows.py`, `any_show.py`, `random_faults.py` | what `shows` draws from a seed |
 | `witness.py` | records all of a run, presses keys, ends a run that does not end |
 | `judge.py`, `allowances.py`, `stale.py` | the promises of a show |

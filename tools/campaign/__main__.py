@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from campaign import anchors, hands, interrupts, readers, shows, stages, walks
+from campaign import anchors, hands, interrupts, live_edits, readers, shows, stages, walks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -41,6 +41,7 @@ KINDS: Final = {
     "readers": readers,
     "hands": hands,
     "interrupts": interrupts,
+    "live_edits": live_edits,
 }
 SAYS_EVERY_S: Final = 60.0
 """How often it says how far it has come."""

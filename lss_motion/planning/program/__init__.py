@@ -3,7 +3,8 @@
   file       what it is                                              who calls it
   compile    trajectory → program: choice of drives, schedule,       api, shows, player.session
              verification, errors
-  splice     extensions of a program that is being played            walking
+  splice     extensions of a program that is being played            walking, live_edit
+  live_edit  the rest of a show that is edited while it plays        studio
   drives     timed, streamed, stepped: one interface; `drive: auto`  schedule, compile
   mates      servos of one joint get the same moves together         schedule, compile
   schedule   all joints fitted on the lines that they share          compile, splice

@@ -74,6 +74,11 @@ class Agenda:
             self._cue = next(self._cues, None)
         self._note_next()
 
+    def go_on(self, program: Program, show_s: float) -> None:
+        """Go on with marks and cues of an edited program; what is not reported yet, will be."""
+        self._program = program
+        self.go_back(min(show_s, self._next_s))
+
     def _note_next(self) -> None:
         self._next_s = min((due[0] for due in (self._mark, self._cue) if due), default=math.inf)
         """Show time of the next mark or cue."""

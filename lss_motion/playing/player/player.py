@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.errors import LssMotionError
+    from lss_motion.planning.program.live_edit import ProgramEdit
     from lss_motion.planning.program.model import Program
     from lss_motion.planning.program.splice import Extension
     from lss_motion.playing.player.events import Event, Faulted
@@ -418,6 +419,18 @@ class Player:
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Go on with `extension` from its splice on; False if it is too late or no show plays."""
         return self._machine.phase is Phase.SHOW and self._present.extend(extension, now_ns)
+
+    def edit(self, edit: ProgramEdit, now_ns: int) -> None:
+        """Go on with an edited program from its splice on; raises `InputError` if it cannot.
+
+        That is while the one show of this run plays or is paused, and not on a way back.
+        """
+        is_led = self._present.was_open or self._present.own is None
+        if self._machine.phase is not Phase.SHOW or is_led or self.repertoire.only is None:
+            raise InputError(
+                "no show plays that can be edited now; it plays from the next start on"
+            )
+        self._present.edit(edit, now_ns)
 
     def close(self) -> None:
         """Accept no more extensions: the show ends where its program does."""

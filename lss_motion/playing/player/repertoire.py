@@ -31,6 +31,7 @@ from lss_motion.show.model import Wait
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
+    from lss_motion.planning.program.live_edit import ProgramEdit
     from lss_motion.planning.program.splice import Extension
     from lss_motion.playing.player.events import Event, ShowOutcome, Waited
     from lss_motion.playing.player.joint_state import JointState
@@ -374,11 +375,22 @@ class PresentShow:
 
         `program` keeps the moves that it had at the start.
         """
-        if self.streamer is None or not self.streamer.extend(extension, now_ns):
+        if self.streamer is None or not self.is_open or not self.streamer.extend(extension, now_ns):
             return False
         end_s, use = extension.duration_s, extension.line_use
         self.program = replace(self.program, duration_s=end_s, line_use=use)
         return True
+
+    def edit(self, edit: ProgramEdit, now_ns: int) -> None:
+        """Go on with an edited program; raises `InputError` if that comes too late."""
+        show = self.streamer
+        if show is None or not show.extend(edit.extension, now_ns, edit.program):
+            raise InputError(
+                f"it comes too late for the splice at {edit.splice_s:.2f} s; it plays from the "
+                "next start on"
+            )
+        self.program = self.own = edit.program
+        self.agenda.go_on(edit.program, show.clock.show_s(now_ns))
 
     def close(self) -> None:
         """Accept no more extensions."""

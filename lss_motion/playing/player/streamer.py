@@ -269,14 +269,17 @@ class Streamer:
             and all(t.is_at_rest(now_ns) for t in self.joint_states.values())
         )
 
-    def extend(self, extension: Extension, now_ns: int) -> bool:
-        """Replace what is due from the splice of `extension` on; False if it is too late."""
+    def extend(self, extension: Extension, now_ns: int, whole: Program | None = None) -> bool:
+        """Replace what is due from the splice of `extension` on; False if it is too late.
+
+        `whole`: the program with the extension in it, for who goes back in it.
+        """
         from_s = s_from_us(extension.from_us)
         show_s = self.clock.show_s(now_ns)
-        if not self.is_open or show_s >= from_s:
+        if show_s >= from_s:
             return False
         self._moves.replace_from(extension.from_us, extension.moves)
-        self._program = replace(self._program, duration_s=extension.duration_s)
+        self._program = whole or replace(self._program, duration_s=extension.duration_s)
         for name, later in extension.profiles.items():
             state = self.joint_states[name]
             state.extend_plan(later, show_s - PLAN_HISTORY_S)
