@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line", "late",
-    "identify", "load", "capacity", "play", "sound", "network", "sync", "start",
+    "states", "plan", "compile", "large", "compress", "horn", "feedback", "robust", "loop", "line",
+    "late", "identify", "load", "capacity", "play", "sound", "network", "sync", "start",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

@@ -37,7 +37,8 @@ TRIED_MOVES: Final = 24_000
 """In a show with more moves fewer phases are tried, since the moves themselves arrive at all phases
 of the loop: with two, ten minutes of 18 joints take 0.1 s more."""
 
-
+TRIED_JOINTS: Final = 32
+"""Joints that are tried side by side, in bounded memory. Chosen as `schedule.POINTS_MAX`."""
 TIE_RATIO: Final = 1e-6
 """Rounding error of a start, in wire units."""
 
@@ -66,7 +67,15 @@ def horn_errors(
     errors = {name: _error(fit) for name, fit in fits.items()}
     timed = [name for name, fit in fits.items() if fit.joint.drive == "timed"]
     if timed:
-        grown_deg = _grown_deg([fits[name] for name in timed], tolerance_deg)
+        count = sum(len(fits[name].fitted.received_s) for name in timed)
+        phases = min(max(TRIED_MOVES // max(count, 1), PHASES_LEAST), PHASES)
+        grown_deg = [
+            apart_deg
+            for first in range(0, len(timed), TRIED_JOINTS)
+            for apart_deg in _grown_deg(
+                [fits[name] for name in timed[first : first + TRIED_JOINTS]], tolerance_deg, phases
+            )
+        ]
         for name, apart_deg in zip(timed, grown_deg, strict=True):
             moves_deg, bound_deg = errors[name]
             errors[name] = HornError(moves_deg, max(bound_deg, apart_deg))
@@ -118,11 +127,9 @@ def _begun_deg_s(fit: _Fit, profile_deg: FloatArray) -> FloatArray:
     return found
 
 
-def _grown_deg(fits: list[_Fit], tolerance_deg: float) -> list[float]:
+def _grown_deg(fits: list[_Fit], tolerance_deg: float, phases: int) -> list[float]:
     """Return the largest error of each joint over the phases of its control loop."""
     received, rows = [], []
-    count = sum(len(fit.fitted.received_s) for fit in fits)
-    phases = min(max(TRIED_MOVES // max(count, 1), PHASES_LEAST), PHASES)
     for fit in fits:
         loop_s, own_s = fit.joint.response.loop_s, fit.fitted.received_s
         for phase in range(phases):

@@ -245,20 +245,23 @@ def _references(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
     references = {}
     steps = math.ceil((end_s + 2.0 * PREROLL_S) / GRID_S) + 1
     times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
-    for lead_s in {profile_lead_s(robot.joints[name]) for name in trajectory.joints}:
-        angles_deg = np.empty((len(trajectory.joints), steps))
+    leads_s = [profile_lead_s(robot.joints[name]) for name in trajectory.joints]
+    for lead_s in set(leads_s):
+        own = [index for index, one_s in enumerate(leads_s) if one_s == lead_s]
+        joints = [robot.joints[trajectory.joints[index]] for index in own]
+        servo_deg = np.empty((len(own), steps))
         for first in range(0, steps, SAMPLED_AT_ONCE):
             some = slice(first, first + SAMPLED_AT_ONCE)
-            angles_deg[:, some] = trajectory.sample(times_s[some] + lead_s).T
-        for own_deg, name in zip(angles_deg, trajectory.joints, strict=True):
-            joint = robot.joints[name]
-            if profile_lead_s(joint) == lead_s:
-                servo_deg = joint.zero_deg + joint.direction * own_deg
-                references[name] = Reference(
-                    start_s=-PREROLL_S,
-                    position_deg=servo_deg,
-                    given=_given(trajectory, joint, lead_s),
-                )
+            servo_deg[:, some] = trajectory.sample(times_s[some] + lead_s).T[own]
+        # In place: in a long show of many joints, each copy takes hundreds of megabytes.
+        servo_deg *= np.array([[joint.direction] for joint in joints])
+        servo_deg += np.array([[joint.zero_deg] for joint in joints])
+        for joint, position_deg in zip(joints, servo_deg, strict=True):
+            references[joint.name] = Reference(
+                start_s=-PREROLL_S,
+                position_deg=position_deg,
+                given=_given(trajectory, joint, lead_s),
+            )
     return references
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
+from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -48,6 +50,8 @@ RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
 SLOWEST_SHARED_BPS: Final = 115_200
 """The usual rate (FACTS.md W23: the default of every library). A slower line has a fit of its own;
 otherwise the usual rate would have moves further from the instants requested."""
+POINTS_MAX: Final = 4_000_000
+"""Points of references that are fitted at once, 20 bytes each. Chosen: ten minutes of 32 joints."""
 US_PER_MS: Final = 1_000
 STRETCH_MAX_US: Final = 10_000
 """A move may last this much longer than planned. Chosen: at 1000 deg/s² the horn is then 0.05 deg
@@ -127,8 +131,8 @@ class Schedule:
                 }
             )
         timed = [robot.joints[name] for name in left if robot.joints[name].drive == "timed"]
-        if timed:
-            self._fit_timed(timed, references, tolerance_deg, seams_s)
+        for joints in _at_once(timed, references):
+            self._fit_timed(joints, references, tolerance_deg, seams_s)
         for leader, names in mates.items():
             own = robot.joints[leader]
             step_s = lead_s(own, self.fitted[leader], robot)
@@ -177,7 +181,7 @@ class Schedule:
         tolerance_deg: float,
         seams_s: Sequence[float],
     ) -> None:
-        """Fit all timed joints together; each run of the fit starts with the line as it is now."""
+        """Fit timed joints together; each run of the fit starts with the lines as they are now."""
         free = {name: line.copy() for name, line in self._lines.items()}
         before = self.late_max_us, self.is_tight
 
@@ -241,6 +245,23 @@ class Schedule:
         self.is_tight = self.is_tight or is_tight
         if self._gives_up and self.is_tight:
             raise TooLateError
+
+
+def _at_once(
+    joints: Sequence[Joint], references: Mapping[str, Reference]
+) -> Iterator[Sequence[Joint]]:
+    """Yield joints that are fitted together: those of one line, and of more as memory allows."""
+    some: list[Joint] = []
+    points = 0
+    for _, own in groupby(sorted(joints, key=attrgetter("bus")), key=attrgetter("bus")):
+        more = list(own)
+        added = sum(len(references[joint.name].position_deg) for joint in more)
+        if some and points + added > POINTS_MAX:
+            yield some
+            some, points = [], 0
+        some, points = some + more, points + added
+    if some:
+        yield some
 
 
 def slot_us(joint: Joint, robot: Robot) -> int:
