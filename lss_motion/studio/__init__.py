@@ -27,6 +27,7 @@ another, so a server or planner that hangs, stands still or is killed blocks no 
 | `robot_view`  | a robot as JSON, for the pages                             | `planner`          |
 | `view`        | a planned show as JSON, for the timeline of the pages      | `planner`          |
 | `view_curves` | angles over time as few cubics, within what an eye sees    | `view`             |
+| `view_horns`  | where the bytes take the joints, as such cubics             | `view`             |
 | `playing`     | the server's end of the process that plays                 | `desk`             |
 | `latch`       | the stop that is kept: `stop` writes it, the server reads  | `stopping`, `stop` |
 | `stopping`    | the server's end of the process that only stops            | `studio`           |

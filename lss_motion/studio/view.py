@@ -18,12 +18,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from lss_motion.errors import InputError
-from lss_motion.planning.program.verify import driven, profiles
 from lss_motion.planning.trajectory.model import LoopedSpan, PathMotion
 from lss_motion.planning.trajectory.playlist import PlayListPass, all_cues, all_marks
 from lss_motion.planning.trajectory.tracks import ParallelPass
 from lss_motion.robot.mechanisms import limits_along
-from lss_motion.robot.profile import profile_lead_s
 from lss_motion.studio.view_curves import (
     ACCEL_RATIO,
     SPEED_RATIO,
@@ -34,6 +32,7 @@ from lss_motion.studio.view_curves import (
     fitted,
     packed,
 )
+from lss_motion.studio.view_horns import horn_curves
 from lss_motion.units import NS_PER_US, US_PER_S, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
@@ -89,7 +88,7 @@ def view_of(show: Show, plan: str, peaks_of: PeaksOf | None = None) -> dict[str,
     assert trajectory is not None, "the same"
     window = ViewWindow(program)
     lanes = lanes_of(sequence, trajectory, window)
-    horn = _horn_curves(program, robot, window)
+    horn = horn_curves(program, robot, window.end_s)
     motion = _motion_curves(trajectory, robot, window, _knot_keys(lanes))
     authored = _authored_curves(trajectory, window)
     return {
@@ -453,35 +452,6 @@ def _motion_curves(
     return curves
 
 
-def _horn_curves(program: Program, robot: Robot, window: ViewWindow) -> dict[str, Curve]:
-    """Return where the bytes take each horn, in joint degrees: its profile, later by its lead."""
-    robot = driven(robot, program)
-    curves = {}
-    for name, profile in profiles(program, robot).items():
-        joint = robot.joints[name]
-        start_s, position_deg, speed_deg_s, accel_deg_s2 = profile.table
-        start_s = start_s + profile_lead_s(joint)
-        first = max(int(np.searchsorted(start_s, 0.0, side="right")) - 1, 0)
-        pieces = np.arange(first, max(int(np.searchsorted(start_s, window.end_s)), first + 1))
-        begins_s = np.maximum(start_s[pieces], 0.0)
-        ends_s = np.minimum(np.append(start_s[1:], np.inf)[pieces], window.end_s)
-        # Both ends of each piece: of a stepped servo, a piece begins elsewhere than one ended.
-        lasts_s = np.maximum(ends_s - begins_s, 0.0)
-        times_s = begins_s[:, None] + lasts_s[:, None] * np.linspace(0.0, 1.0, INSIDE + 2)
-        origin_s = np.where(np.isfinite(start_s[pieces]), start_s[pieces], begins_s)
-        since_s = times_s - origin_s[:, None]
-        speed, accel = speed_deg_s[pieces, None], accel_deg_s2[pieces, None]
-        servo_deg = position_deg[pieces, None] + since_s * (speed + 0.5 * accel * since_s)
-        samples = Samples(
-            times_s.ravel(),
-            joint.direction * (servo_deg - joint.zero_deg).ravel(),
-            joint.direction * (speed + accel * since_s).ravel(),
-            np.full(times_s.size, np.nan),
-        )
-        curves[name] = fitted(samples, np.zeros(0), Tolerance())
-    return curves
-
-
 def _authored_curves(trajectory: Trajectory, window: ViewWindow) -> dict[str, Curve]:
     """Return the motion at the author's own times, for plans that are slowed somewhere."""
     if not trajectory.stretched:
@@ -545,6 +515,8 @@ def _largest_error(motion: Curve, horn: Curve) -> dict[str, float]:
 
 def _joint(robot: Robot, name: str, program: Program) -> dict[str, Any]:
     joint = robot.joints[name]
+    behind = (one.servos[0] for one in robot.mechanisms.values() if name in one.joints)
+    servo = next(behind, name)
     deg, speed_deg_s, accel_deg_s2 = limits_along(robot, name)
     return {
         "name": joint.name,
@@ -559,7 +531,7 @@ def _joint(robot: Robot, name: str, program: Program) -> dict[str, Any]:
             "speed_deg_s": speed_deg_s.tolist(),
             "accel_deg_s2": accel_deg_s2.tolist(),
         },
-        "drive": program.drives[joint.name].drive if joint.name in program.drives else "timed",
+        "drive": program.drives[servo].drive if servo in program.drives else "timed",
         "temperature_max_c": joint.temperature_max_c,
         "voltage_min_v": joint.voltage_min_v,
         "following_deg": joint.following_deg,

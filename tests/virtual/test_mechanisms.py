@@ -265,3 +265,14 @@ def test_a_stage_plays_shows_of_such_a_robot(show: Show) -> None:
     assert client.of(m.Started)[0].joints == tuple(JOINTS)
     assert [one.name for one in client.of(m.ShowStarted)][:2] == ["s", "other"]
     assert {len(one.angles_deg) for one in client.telemetry} == {len(JOINTS)}
+
+
+def test_the_pages_show_where_the_bytes_take_joints(show: Show) -> None:
+    from lss_motion.studio.view import view_of
+
+    view = view_of(show, "plan")
+    assert [one["name"] for one in view["joints"]] == JOINTS
+    assert {*view["curves"]} == {*JOINTS}
+    # The moves stay within the tolerance of 0.2 deg of the joint, and the steps of the servos.
+    errors = {name: one["max_deg"] for name, one in view["error"].items()}
+    assert max(errors.values()) < 0.5, errors
