@@ -147,8 +147,10 @@ def test_numbers_strips_and_readings_say_what_is(wave, opened):
     """No −0.0, nothing outside of its limits by noise, no readings of another show."""
     with opened(wave) as page:
         found = page.run(
-            modules("numbers", "pages/robot_joints", "readings")
-            + """.then(([numbers, joints, readings]) => {
+            modules("numbers", "pages/robot_joints", "readings", "timeline/window", "reduce")
+            + """.then(([numbers, joints, readings, times, reduce]) => {
+              const troubled = (show_s) => reduce.reduce({ ...reduce.firstState(),
+                health: { show_s } }, { type: 'event', event: { event: 'warned', text: '' } });
               const trace = new readings.ReadingTrace();
               for (let n = 0; n < 9; n += 1) trace.push('before', n / 10, [n], [n]);
               trace.push('now', 0.95, [5], [5]);
@@ -168,6 +170,8 @@ def test_numbers_strips_and_readings_say_what_is(wave, opened):
               return {
                 texts: [-0.04, 0.04, -0.06, -12.34, NaN, null].map((own) => numbers.number(own, 1)),
                 places: [-0.1, 70.2, 35, -3, 73].map(place),
+                times: [-0.04, 0, 61.26, -1.5].map((own) => times.timeText(own, 0.1)),
+                troubles: [-0.1, 0.2].map((own) => troubled(own).trouble[0].at_s),
                 kept: trace.segments.flatMap((own) => [...own.times_s.slice(0, own.count)]),
                 away: Number.isNaN(away.of(0)),
                 rests: unread.segments.map((own) => own.deg.map((deg) => count(own, deg).length)),
@@ -176,6 +180,8 @@ def test_numbers_strips_and_readings_say_what_is(wave, opened):
         )
     assert found["texts"] == ["0.0", "0.0", "−0.1", "−12.3", "–", "–"]
     assert found["places"] == ["near", "near", "within", "outside", "outside"]
+    assert found["times"] == ["0:00.0", "0:00.0", "1:01.3", "−0:01.5"]
+    assert found["troubles"] == [None, 0.2], "before the start there is no show time"
     assert found["kept"] == [0.95]
     assert found["away"] is True
     assert found["rests"] == [[2, 1]], "where a joint was that had to move is not known"

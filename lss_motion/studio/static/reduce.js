@@ -194,7 +194,9 @@ function afterLease(state, event) {
 
 /** Return the list of troubles with that of an event. @param {State} state @param {any} event */
 function withTrouble(state, event) {
-  const at_s = state.health?.show_s ?? null;
+  // On the way to the start it is at no time of the show.
+  const show_s = state.health?.show_s ?? -1;
+  const at_s = show_s < 0 ? null : show_s;
   const number = (state.trouble[0]?.number ?? 0) + 1;
   /** @type {Trouble[]} */
   let added = [];

@@ -77,9 +77,8 @@ export function tickStep(view, least_px) {
 /** Return a time as people read it, as exact as a step needs. @param {number} at_s @param {number} step_s */
 export function timeText(at_s, step_s) {
   const digits = step_s >= 1 ? 0 : step_s >= 0.1 ? 1 : step_s >= 0.01 ? 2 : 3;
-  const sign = at_s < -1e-9 ? "−" : "";
-  const size_s = Math.abs(at_s);
-  const rounded_s = Number(size_s.toFixed(digits));
+  const rounded_s = Number(Math.abs(at_s).toFixed(digits));
+  const sign = at_s < 0 && rounded_s > 0 ? "−" : "";
   const minutes = Math.floor(rounded_s / 60);
   const seconds = (rounded_s - 60 * minutes).toFixed(digits);
   return `${sign}${minutes}:${seconds.padStart(digits === 0 ? 2 : digits + 3, "0")}`;
