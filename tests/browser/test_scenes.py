@@ -138,9 +138,9 @@ MEASURED = """
       problems.push(`buttons overlap: ${said(one.element)} and ${said(other.element)}`);
     }
   }
-  const page = document.querySelector('.page');
-  if (page !== null && page.scrollWidth > page.clientWidth + 1) {
-    problems.push('the page is wider than the window');
+  for (const own of document.querySelectorAll('.page, dialog, .menu, .scroll')) {
+    const isWide = own.scrollWidth > own.clientWidth + 1;
+    if (isWide) problems.push(`${own.tagName} ${own.className} is wider than there is room`);
   }
   return [...new Set(problems)];
 })()
