@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
 import shutil
 import tempfile
 from pathlib import Path
@@ -70,6 +71,7 @@ def make_server(folder: Path) -> MCPServer:
     """Return the server of a folder; raises `InputError` where its package is missing."""
     try:
         from mcp.server.mcpserver import Image, MCPServer
+        from mcp.server.mcpserver.exceptions import ToolError
     except ModuleNotFoundError as error:
         raise InputError(f"mcp needs a package: {install_command('agents')}") from error
     shows = ShownFolder(folder.resolve())
@@ -82,14 +84,25 @@ def make_server(folder: Path) -> MCPServer:
         shows.preview,
         schema,
     )
+
+    def add(tool: Callable[..., Any]) -> None:
+        @functools.wraps(tool)
+        def told(*args: Any, **named: Any) -> Any:  # noqa: ANN401  (what the tool takes and gives)
+            try:
+                return tool(*args, **named)
+            except LssMotionError as error:  # Of any other error a client is told nothing.
+                raise ToolError(str(error)) from error
+
+        server.add_tool(told, structured_output=False)
+
     for tool in tools:
-        server.add_tool(tool, structured_output=False)
+        add(tool)
 
     def picture(path: str) -> Any:  # noqa: ANN401  (an Image, which exists in here only)
         """Draw the plan of a show: angles, speeds and accelerations of each joint, as PNG."""
         return Image(data=shows.picture(path), format="png")
 
-    server.add_tool(picture, structured_output=False)
+    add(picture)
     return server
 
 
@@ -167,8 +180,10 @@ class ShownFolder:
         from lss_motion.planning import shows
         from lss_motion.playing.api import play
 
+        found = self._path(path)
+
         def played() -> dict[str, Any]:
-            show = shows.prepare(self._path(path), None)
+            show = shows.prepare(found, None)
             if not show.program.duration_s <= PLAYED_MAX_S:
                 raise InputError(
                     f"lasts longer than {PLAYED_MAX_S:g} s; preview a part of it", path=path
@@ -239,9 +254,13 @@ class ShownFolder:
 
     def _path(self, name: str, *, may_be_new: bool = False) -> Path:
         path = self._folder / name
-        if path.suffix.lower() not in SUFFIXES or not self._is_inside(path):
+        try:
+            is_inside, is_there = self._is_inside(path), path.is_file()
+        except (ValueError, OSError, RuntimeError):
+            raise InputError(f"{name!r:.200} is no name of a file") from None
+        if path.suffix.lower() not in SUFFIXES or not is_inside:
             raise InputError(f"{name!r:.200} is no show or robot file in this folder")
-        if not path.is_file() and not may_be_new:
+        if not is_there and not may_be_new:
             raise InputError(f"{name!r:.200} is not there; list_files says what is")
         return path
 

@@ -111,7 +111,19 @@ def test_nothing_outside_of_the_folder_is_read(folder, path):
     (folder / "a.py").write_text("secret = 'xxxxxxxxxxxxxxxxxxxx'\n")
     for result in calls(folder, ("read", {"path": path}), ("check", {"path": path})):
         assert result.is_error
+        assert "is no show or robot file in this folder" in str(result.content)
         assert "xxxxx" not in str(result.content)
+
+
+@pytest.mark.parametrize(
+    "name", ["a\0.yaml", "wave.yaml/\0.yaml", "a" * 5000 + ".yaml", "a/" * 3000]
+)
+@pytest.mark.parametrize("tool", ["read", "check", "preview", "picture", "propose"])
+def test_a_name_that_no_system_accepts_is_refused_in_words(folder, name, tool):
+    more = {"text": "x"} if tool == "propose" else {}
+    (result,) = calls(folder, (tool, {"path": name, **more}))
+    assert result.is_error
+    assert "is no name of a file" in "".join(part.text for part in result.content)
 
 
 def test_a_show_that_names_a_robot_outside_of_the_folder_is_not_checked(folder):
