@@ -29,7 +29,7 @@ from lss_motion.playing.player.events import (
     Waited,
     Warned,
 )
-from lss_motion.show.functions import calls_of
+from lss_motion.show.functions import calls_of, modules_of
 
 if TYPE_CHECKING:
     import argparse
@@ -224,10 +224,7 @@ def agreed_modules(
     """
     from lss_motion.cli.terminal import is_at_keyboard
 
-    calls = calls_of(cues)
-    modules = tuple(
-        {(one.folder, one.name): one for call in calls for one in call.modules}.values()
-    )
+    calls, modules = calls_of(cues), modules_of(cues)
     if not calls or is_allowed:
         return modules
     digest = _digest(path, calls)

@@ -30,7 +30,7 @@ from lss_motion.playing.performer_process import (
     SoundsPlaying,
 )
 from lss_motion.playing.player.events import CueReached, Warned
-from lss_motion.show.functions import calls_of, function_problem
+from lss_motion.show.functions import function_problem, modules_of
 from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Performer:
         """`modules`: what a person has agreed to; None: what lies beside the show now."""
         functions = tuple(dict.fromkeys((cue.run, cue.folder) for cue in cues if cue.run))
         if modules is None:
-            modules = [one for call in calls_of(cues) for one in call.modules]
+            modules = modules_of(cues)
         self.lost: list[Cue] = []
         """The first cues that did not fit into the pipe, up to `LOST_MAX`."""
         self._lost_count = 0

@@ -79,6 +79,12 @@ def calls_of(cues: Iterable[Cue]) -> list[Call]:
     return calls
 
 
+def modules_of(cues: Iterable[Cue]) -> tuple[ModuleSource, ...]:
+    """Return the modules beside shows that are run for their functions, each once, as they are."""
+    modules = (one for call in calls_of(cues) for one in call.modules)
+    return tuple({(one.folder, one.name): one for one in modules}.values())
+
+
 def _installed(module_name: str) -> Path | None:
     """Return the file of an installed module."""
     spec = _found(module_name, "")

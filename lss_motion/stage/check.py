@@ -17,6 +17,7 @@ from lss_motion.files.texts import counted, duration_text, known_names
 from lss_motion.planning import shows
 from lss_motion.playing.player.added_show import why_not_beside
 from lss_motion.playing.player.following import require_can_follow
+from lss_motion.show.functions import modules_of
 from lss_motion.stage.log import why_not_writable
 from lss_motion.stage.model import TriggerKind
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.planning.shows import ReadRobot, Show
+    from lss_motion.show.functions import ModuleSource
     from lss_motion.stage.model import CueTrigger, Stage
 
 
@@ -46,6 +48,11 @@ class Planned(Struct, frozen=True, kw_only=True):
         """The Python functions that shows call."""
         cues = (cue for show in self.shows.values() for cue in show.program.cues)
         return tuple(dict.fromkeys(cue.run for cue in cues if cue.run))
+
+    @property
+    def modules(self) -> tuple[ModuleSource, ...]:
+        """What lies beside the shows and is run for these functions, as it is now."""
+        return modules_of(cue for show in self.shows.values() for cue in show.program.cues)
 
 
 def plan_stage(

@@ -219,6 +219,8 @@ class StageRun:
         self.stage, self.options = stage, options
         self.programs = {name: show.program for name, show in planned.shows.items()}
         self._functions = planned.functions
+        self._modules = options.more.get("modules", planned.modules)
+        """What a person has agreed to: no run calls what lies beside the shows later."""
         self.robot = robot_of(planned)
         random = Random(options.seed)  # noqa: S311  (which show is next)
         self.director = Director(
@@ -349,7 +351,7 @@ class StageRun:
             seed=options.seed or 0,
             observer=observer,
             faults=faults,
-            **{"sound": sound, **options.more},
+            **{"sound": sound, "modules": self._modules, **options.more},
         )
 
     def _make_tap(self, started_ns: int) -> Tap:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from lss_motion.playing.remote.player_end import OnLost
+    from lss_motion.show.functions import ModuleSource
     from lss_motion.studio.document import Document
     from lss_motion.studio.hub import Hub
     from lss_motion.studio.latch import StopKind
@@ -82,6 +83,8 @@ class Desk:
         self._noted: StopKind | None = None
         """The stop that is kept, as clients were told."""
         self._kept: dict[str, str] = {}
+        self._agreed: tuple[ModuleSource, ...] | None = None
+        """What lay beside the shows of the stage when it was begun first."""
         self._notes: deque[str] = deque(maxlen=NOTES_MAX)
         self.watch: Callable[[dict[str, Any]], None] = lambda _: None
         """Called with each event of the process that plays."""
@@ -264,8 +267,9 @@ class Desk:
                 f"the show calls Python functions ({names}); read them, then start the studio "
                 f"with --allow-run"
             )
+        modules = self._agreed_to(reply)
         self._kept, self._trouble = {}, []
-        options: dict[str, Any] = {"may_run": self._options.may_run}
+        options: dict[str, Any] = {"may_run": self._options.may_run, "modules": modules}
         if reply.stage is None:
             options |= {"start_s": operation.from_s, "must_ask": not reply.is_simulated}
         else:
@@ -274,6 +278,28 @@ class Desk:
         plan = reply.plan if reply.stage is None else None  # The plan of a stage is many.
         self._change(state="starting", plan=plan, text="")
         self._tell_robot("playing")
+
+    def changed_functions(self, reply: PlannerReply) -> list[str]:
+        """Return the files of functions that are called as they were when the stage was begun."""
+        agreed = self._agreed
+        return [] if agreed is None else [o.path for o in reply.modules if o not in agreed]
+
+    def _agreed_to(self, reply: PlannerReply) -> tuple[ModuleSource, ...]:
+        """Return what a show may call. A stage begins anew without a person.
+
+        So it calls what a person agreed to with `--allow-run`: what lay beside its shows at first.
+        """
+        if reply.stage is None:
+            return reply.modules
+        if self._agreed is None:
+            self._agreed = reply.modules
+        known = {(one.folder, one.name) for one in self._agreed}
+        if fresh := [o.path for o in reply.modules if (o.folder, o.name) not in known]:
+            raise InputError(
+                f"the shows call Python that was not there when --allow-run was given "
+                f"({', '.join(fresh)}); read it, then start lss-motion serve again"
+            )
+        return self._agreed
 
     def _plan(self) -> PlannerReply:
         """Return the last good plan; raises `InputError` that says why there is none."""

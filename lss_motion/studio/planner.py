@@ -22,12 +22,13 @@ from lss_motion.system.messages import TypedPipe
 from lss_motion.system.reactor import wait_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from lss_motion.planning.shows import Show
     from lss_motion.playing.remote.edit_messages import AnyChange, TriedWindow
     from lss_motion.playing.remote.schema import FileKind
     from lss_motion.robot.model import Robot
+    from lss_motion.show.functions import ModuleSource
     from lss_motion.show.gait.model import Gait
     from lss_motion.show.model import Sequence
     from lss_motion.stage.check import Planned
@@ -92,6 +93,8 @@ class PlannerReply(Struct, frozen=True, kw_only=True):
     """The packed job of the show."""
     functions: tuple[str, ...] = ()
     """The Python functions that the show calls."""
+    modules: tuple[ModuleSource, ...] = ()
+    """What lies beside the show and is run for them."""
     robot: bytes = b""
     """The view of the robot, JSON; empty where it could not be read."""
     live_job: bytes = b""
@@ -211,7 +214,7 @@ def _of_show(
     from lss_motion.playing.remote.job import Job
     from lss_motion.playing.remote.message import plan_hash
     from lss_motion.playing.remote.process import packed
-    from lss_motion.show.functions import calls_of
+    from lss_motion.show.functions import calls_of, modules_of
     from lss_motion.show.gait import is_gait_file
     from lss_motion.studio.trial import WholePlan
     from lss_motion.studio.view import view_of
@@ -234,17 +237,24 @@ def _of_show(
     show = compiled(sequence, robot)
     keep(WholePlan(show, request.path.resolve().parent, load_again))
     plan = plan_hash(show.program).hex()
-    sounds = {Path(cue.sound) for cue in show.program.cues if cue.sound}
+    files |= {Path(cue.sound) for cue in show.program.cues if cue.sound}
+    modules = modules_of(show.program.cues)
+    files |= _files_of_modules(modules)
     job = Job(shows=show.program, robot=robot, trajectory=show.trajectory)
     return {
-        "files": tuple(sorted(files | sounds)),
+        "files": tuple(sorted(files)),
         "plan": plan,
         "view": finite_json(view_of(show, plan)),
         "job": packed(job),
         "summary": tuple(program_lines(show)),
         "notes": tuple(_notes(show)),
         "functions": tuple(call.run for call in calls_of(show.program.cues)),
+        "modules": modules,
     }
+
+
+def _files_of_modules(modules: Iterable[ModuleSource]) -> set[Path]:
+    return {Path(one.path) for one in modules if one.data}
 
 
 def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
@@ -269,6 +279,8 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     for show in planned.shows.values():
         files |= set() if show.sequence is None else set(files_of(show.sequence))
         files |= {Path(cue.sound) for cue in show.program.cues if cue.sound}
+    modules = planned.modules
+    files |= _files_of_modules(modules)
     plans = _plans(planned, request.views)
     names = json.dumps(plans, sort_keys=True).encode() + read_data(request.path)
     lines = stage_lines(planned)
@@ -280,6 +292,7 @@ def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
         "job": packed(StageJob(planned=planned)),
         "summary": tuple(lines),
         "functions": planned.functions,
+        "modules": modules,
     }
 
 
@@ -288,6 +301,7 @@ def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[s
     from lss_motion.planning.shows import files_of
     from lss_motion.playing.remote.message import plan_hash
     from lss_motion.playing.remote.process import packed
+    from lss_motion.show.functions import modules_of
     from lss_motion.stage.hosts.plans import planned_stage
     from lss_motion.stage.hosts.serving import conductor_job
 
@@ -319,14 +333,17 @@ def _of_figures(stage: Stage, request: Request, found: dict[str, Any]) -> dict[s
                 one.shows.get(request.figure, one.shows.get("")), plans[name], request.views
             )
     names = json.dumps(plans, sort_keys=True).encode() + read_data(request.path)
-    functions = [cue.run for one in made.values() for p in one.programs.values() for cue in p.cues]
+    cues = [cue for one in made.values() for p in one.programs.values() for cue in p.cues]
+    modules = modules_of(cues)
+    files |= _files_of_modules(modules)
     return {
         "files": tuple(sorted(files)),
         "plan": hashlib.sha256(names).hexdigest()[:16],
         "plans": plans,
         "stage": replace(stage, robot=None),
         "job": packed(conductor_job(stage, made, own, plans)),
-        "functions": tuple(dict.fromkeys(filter(None, functions))),
+        "functions": tuple(dict.fromkeys(cue.run for cue in cues if cue.run)),
+        "modules": modules,
     }
 
 

@@ -160,6 +160,11 @@ class StageService:
         if good is None or good is self._known or good.stage is None:
             return
         self._known = good
+        if changed := self.studio.desk.changed_functions(good):
+            self.note(
+                f"{', '.join(changed)} changed since --allow-run was given: its functions are "
+                f"called as they were; read it, then start lss-motion serve again"
+            )
         stage = self._stage = good.stage
         self.api.names = addresses(stage, TriggerKind.HTTP)
         self.inlets.use(stage)

@@ -9,7 +9,7 @@ import pytest
 from campaign.outside import objections_to
 from campaign.witness import Witness
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BusError, InputError
 from lss_motion.playing import run as run_module
 from lss_motion.robot.on_fault import Cause
 from lss_motion.sim.faults import SENSOR_NAMES, Fault, FaultKind
@@ -317,6 +317,28 @@ def test_a_clock_that_is_set_in_mid_show_moves_nothing_and_fires_nothing_twice(f
 
 
 GO = "  - {cue: go, on: {key: g}, play: scare}"
+
+
+def test_every_run_of_a_stage_calls_what_was_there_when_it_began(folder, tmp_path, monkeypatch):
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_text(file.read_text())
+    (tmp_path / "stage.yaml").write_text(STAGE)
+    scare, tricks = tmp_path / "scare.yaml", tmp_path / "tricks.py"
+    tricks.write_text("def boo(show):\n    pass\n")
+    scare.write_text(scare.read_text() + "events:\n  - {at_s: 0.5, run: 'tricks:boo'}\n")
+    planned = plan_stage(load_stage(tmp_path / "stage.yaml"))
+    run = StageRun(planned, Options(is_virtual=True, may_run=True))
+    called = []
+
+    def noted(*_, modules, **__):
+        called.append({one.path: one.data for one in modules})
+        tricks.write_text("raise SystemExit\n")
+        raise InputError("it ends here")
+
+    monkeypatch.setattr(running, "perform", noted)
+    for _ in range(2):
+        run.play()
+    assert called == [{str(tricks): b"def boo(show):\n    pass\n"}] * 2
 
 
 def test_new_files_are_played_by_the_run_that_goes_on(folder, tmp_path):

@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from msgspec.structs import replace
 
+from lss_motion.errors import InputError
 from lss_motion.playing.remote import schema as m
+from lss_motion.show.functions import ModuleSource
+from lss_motion.stage.load import load_stage
 from lss_motion.studio import desk as desks
 from lss_motion.studio.access import Role
 from lss_motion.studio.desk import Desk, DeskOptions
@@ -17,6 +21,7 @@ from lss_motion.studio.hub import Hub
 from lss_motion.studio.planner import PlannerReply, Request
 
 PLAN = "0123456789abcdef"
+SEQUENCES = Path(__file__).resolve().parents[3] / "sequences"
 
 
 class Stops:
@@ -225,6 +230,40 @@ def test_a_lost_operator_is_the_rule_for_a_show_and_holds_a_robot(
     stage.ask("connect")
     stage.desk.operator_lost()
     assert [one.op for one in PlayerStub.all[1].sent] == ["stop"]
+
+
+def test_a_stage_that_begins_anew_calls_what_a_person_has_agreed_to(tmp_path, monkeypatch):
+    """A stranger, or a half-saved file, changes it meanwhile: nobody is there at night."""
+    monkeypatch.setattr(desks, "PlayerProcess", PlayerStub)
+    stage = DeskStage(tmp_path, may_run=True, stage={})
+    wave = ModuleSource("shows", "tricks", "shows/tricks.py", b"safe", is_package=False)
+    other = replace(wave, name="other", path="shows/other.py")
+    hall = load_stage(Path(SEQUENCES, "stages", "haunted_hall.yaml"))
+
+    def begin(*modules):
+        stage.plan(stage=hall, functions=("tricks:wave",), modules=modules)
+        stage.desk.start()
+        PlayerStub.all[-1].end()
+        return PlayerStub.all[-1].options["modules"]
+
+    assert begin(wave) == (wave,)
+    changed = replace(wave, data=b"evil")
+    assert begin(changed) == (wave,)
+    assert stage.desk.changed_functions(stage.document.good) == ["shows/tricks.py"]
+    with pytest.raises(InputError, match=r"not there when --allow-run was given \(shows/other\.py"):
+        begin(wave, other)
+    assert len(PlayerStub.all) == 2
+    assert begin(wave) == (wave,)
+
+
+def test_a_show_of_the_studio_calls_what_was_planned(stage):
+    stage = DeskStage(stage.document.path.parent, may_run=True)
+    for data in (b"one", b"two"):
+        module = ModuleSource("shows", "tricks", "shows/tricks.py", data, is_package=False)
+        stage.plan(functions=("tricks:wave",), modules=(module,))
+        assert stage.ask("play") == "accepted"
+        assert PlayerStub.all[-1].options["modules"] == (module,)
+        PlayerStub.all[-1].end()
 
 
 def test_a_pose_is_not_written_into_a_file_that_has_changed(stage, tmp_path):

@@ -108,6 +108,8 @@ def test_functions_of_a_show_are_named_and_none_is_called(folder):
     reply = plan(folder / "swing.yaml")
     assert reply.functions == ("tricks:wave",)
     assert any("tricks.py" in note for note in reply.notes)
+    assert [one.data for one in reply.modules] == [Path(folder, "tricks.py").read_bytes()]
+    assert Path(folder, "tricks.py") in reply.files, "it is planned again when this changes"
 
 
 # ---- the document
