@@ -187,6 +187,18 @@ def test_a_key_that_others_can_read_proves_nothing(nod, folder):
     assert key.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a file away"
+)
+def test_entries_with_a_key_of_another_user_are_misses(nod, folder):
+    """Another user has put key and entries where this one looks: a shared or a stolen folder."""
+    key = folder / "state" / cache.KEY_NAME
+    os.chown(key, 65534, 65534)
+    nod.cached()
+    assert nod.count == 2
+    assert key.stat().st_uid == 0
+
+
 class ForeignCall:
     def __init__(self, function, *arguments):
         self.call = function, arguments

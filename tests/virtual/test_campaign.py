@@ -98,6 +98,7 @@ FOUND_MIXED = (
     90543,  # Two queries to one overdue servo delayed a joint in EM0: its filter braked.
     803931,  # All servos restarted when they were set up for the second time.
     803371,  # A joint in EM0 stood at -118; it was believed to be at -11, which two answers said.
+    830687,  # Without feedback, servos restarted while they were set up: the player spun.
     90345,  # Lines that arrived as one, and late, made a filter brake: nobody's doing.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

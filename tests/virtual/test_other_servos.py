@@ -135,7 +135,9 @@ def test_the_same_servo_goes_on_after_a_short_absence(stage, kit, deaf_s):
 
 
 @pytest.mark.parametrize("baud_bps", [9_600, 115_200])
-@pytest.mark.parametrize("later_s", [0.0, 0.3, 0.6, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0])
+@pytest.mark.parametrize(
+    "later_s", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0]
+)
 def test_a_servo_that_is_exchanged_while_another_is_waited_for_is_never_driven(
     stage, kit, baud_bps, later_s
 ):

@@ -422,7 +422,7 @@ class FaultHandler:
         """The joints whose servos are missing."""
         return {joint.name for joint in self.recovery.missing} if self.recovery else set()
 
-    def recovery_dialogue(self) -> Dialogue | Preflight:
+    def recovery_dialogue(self, now_ns: int) -> Dialogue | Preflight:
         """Return the queries to the missing servos, repeated until they answer.
 
         First, other servos are looked for with the id of one whose answers came twice.
@@ -431,13 +431,19 @@ class FaultHandler:
         suspects = [one for one in self.recovery.missing if one.name in self._suspected]
         self._suspected.clear()
         if suspects:
-            return self._session.proof(self.recovery.missing, {}, suspects)
+            return self.proof({}, now_ns, suspects)
         return self._session.dialogue(self.recovery.queries(self._session.original))
 
-    def proof(self, answers: Answers) -> Preflight:
-        """Return the dialogue that compares the servos, which answer again, with what they were."""
+    def proof(self, answers: Answers, now_ns: int, suspects: Sequence[Joint] = ()) -> Preflight:
+        """Return the dialogue that compares servos with what they were.
+
+        Those that answer again, and others that were not heard, since they were not asked while
+        these were waited for.
+        """
         assert self.recovery is not None
-        return self._session.proof(self.recovery.missing, answers)
+        missing = self.recovery.missing
+        others = [one for one in self._session.unheard(now_ns) if one not in missing]
+        return self._session.proof([*missing, *others], answers, suspects)
 
     def prove(self, preflight: Preflight, now_ns: int) -> LssMotionError | None:
         """Return why a servo that was away must not move: it is another one, or answers no more.

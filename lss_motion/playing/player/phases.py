@@ -173,7 +173,8 @@ class PhaseMachine:
             wakeups_ns.append(self.dialogue.next_wakeup_ns())
         elif self.streamer is not None:
             wakeups_ns.append(self.streamer.next_wakeup_ns(self.now_ns))
-        if phase in DRIVING and self.dialogue is None:
+        is_judged = self.session.has_feedback and self.dialogue is None
+        if phase in DRIVING and is_judged:
             wakeups_ns += self.faults.escalation.wakeups_ns()
         if phase in PLAYING:
             lines = self.session.lines
@@ -298,7 +299,7 @@ class PhaseMachine:
         if self.phase is Phase.RECOVER:
             self.events += self.added.come_together(self.streamer, now_ns)
             self.streamer = None
-            self.dialogue = self.faults.recovery_dialogue()
+            self.dialogue = self.faults.recovery_dialogue(now_ns)
         elif self.phase is Phase.SEEK:
             self.go_on(now_ns)
         elif self.phase is not Phase.APPROACH:
@@ -334,7 +335,7 @@ class PhaseMachine:
             case Phase.PREPARE if isinstance(dialogue, SettingsDialogue):
                 self._prepared(dialogue, now_ns)
             case Phase.RECOVER:
-                self.dialogue = self.faults.proof(dialogue.answers)
+                self.dialogue = self.faults.proof(dialogue.answers, now_ns)
             case Phase.PREPARE | Phase.APPROACH:
                 self._examined(dialogue.answers, now_ns)
             case _:

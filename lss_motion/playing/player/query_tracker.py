@@ -248,6 +248,8 @@ class _LinkState:
     """When the first query without an answer had arrived since the last one with one."""
     back_ns: int = 0
     """When an answer ended the last absence of `AWAY_NS` or more; 0: there was none."""
+    gap_ns: int = 0
+    """The same with times in which it was not asked."""
     flights: int = 0
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
@@ -323,6 +325,13 @@ class QueryTracker:
     def back_ns(self, servo_id: int) -> int:
         """Return when a servo answered again after an absence of `AWAY_NS` or more; 0: never."""
         return self._links[servo_id].back_ns
+
+    def gap_ns(self, servo_id: int) -> int:
+        """Return when a servo answered after `AWAY_NS` or more without an answer; 0: never.
+
+        It may not have been asked meanwhile.
+        """
+        return self._links[servo_id].gap_ns
 
     def latency(self, servo_id: int) -> ReplyLatency:
         return self._links[servo_id].latency
@@ -462,6 +471,8 @@ class QueryTracker:
         while (skipped := flight.waiting.popleft()) is not query:
             flight.is_doubtful = True
             self._lost.append(skipped)
+        if link.last_reply_ns is not None and now_ns - link.last_reply_ns >= AWAY_NS:
+            link.gap_ns = now_ns
         flight.arrived_ns = link.last_reply_ns = now_ns
         if link.missed_ns is not None:
             link.back_ns = now_ns if now_ns - link.missed_ns >= AWAY_NS else link.back_ns

@@ -34,7 +34,7 @@ from lss_motion.playing.player.joint_state import (
 )
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import BY_NEED
-from lss_motion.playing.player.query_tracker import QueryTracker, SerialLine
+from lss_motion.playing.player.query_tracker import AWAY_NS, QueryTracker, SerialLine
 from lss_motion.playing.player.servo_model import Probe
 from lss_motion.playing.player.streamer import Streamer
 from lss_motion.playing.player.unasked import UnaskedWatches
@@ -330,6 +330,20 @@ class Session:
             for joint in self.driven
             if self.trackers[joint.bus].back_ns(joint.servo_id) > self._proved_ns.get(joint.name, 0)
         ]
+
+    def unheard(self, now_ns: int) -> list[Joint]:
+        """Return the driven joints whose servos could have been exchanged since compared last.
+
+        They were not heard for long enough, asked or not.
+        """
+        found = []
+        for joint in self.driven:
+            tracker, servo_id = self.trackers[joint.bus], joint.servo_id
+            last_ns, proved_ns = tracker.last_reply_ns(servo_id), self._proved_ns.get(joint.name, 0)
+            is_unheard = last_ns is None or now_ns - max(last_ns, proved_ns) >= AWAY_NS
+            if is_unheard or tracker.gap_ns(servo_id) > proved_ns:
+                found.append(joint)
+        return found
 
     def unrestored_text(self) -> str:
         """Return a warning about settings that are not given back; empty if none was changed."""

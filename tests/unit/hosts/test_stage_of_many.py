@@ -8,7 +8,7 @@ from msgspec.structs import asdict, replace
 from benches.stage_model import LOOPBACK, WIFI, World, reported
 from lss_motion.errors import InputError
 from lss_motion.stage.hosts.conductor import READY_S, ConductorState
-from lss_motion.stage.hosts.figure import Fetch, Verify
+from lss_motion.stage.hosts.figure import Fetch, FollowingFigure, Verify
 from lss_motion.stage.hosts.legs import LEAD_NS
 from lss_motion.stage.hosts.messages import ConductorBeat, hash_of
 from lss_motion.units import NS_PER_MS, NS_PER_S
@@ -142,6 +142,33 @@ def test_stop_is_once_however_often_it_arrives():
         world.run(0.1)
     assert world.states() == {"stopped"}
     assert [host.player.stops for host in world.hosts.values()] == [1] * 4
+
+
+def test_what_was_said_before_changes_nothing_when_it_is_said_again(monkeypatch):
+    """Somebody on a trusted network sends a recorded show again while the conductor is there."""
+    heard, take_beat = [], FollowingFigure.take_beat
+
+    def noted(figure, beat, now_ns):
+        heard.append(beat)
+        take_beat(figure, beat, now_ns)
+
+    monkeypatch.setattr(FollowingFigure, "take_beat", noted)
+    world = playing()
+    conductor = world.conductor
+    world.run(2.0)
+    conductor.stop(world.now_ns)
+    assert world.run(5.0, lambda: world.states() == {"stopped"})
+    said = [beat for beat in dict.fromkeys(heard) if beat.wanted in ("ready", "armed")]
+    assert any(beat.leg is not None for beat in said)
+    starts = [host.player.starts for host in world.hosts.values()]
+    for beat in said:
+        for host in world.hosts.values():
+            take_beat(host.figure, beat, host.now_ns())
+        world.run(0.05)
+        assert world.states() == {"stopped"}
+    world.run(5.0)
+    assert world.states() == {"stopped"}
+    assert [host.player.starts for host in world.hosts.values()] == starts
 
 
 def test_after_a_stop_the_same_show_can_be_played_again():
