@@ -54,7 +54,8 @@ class PhysicsWorld(Struct, frozen=True, kw_only=True):
 
     `friction`      of feet on the ground; 0.8 is rubber on wood, 0.3 plastic on tiles
     `body_kg`       of body, battery and computer, without the servos of the legs
-    `slope_deg`     how far the ground rises ahead of the robot
+    `slope_deg`     how far the ground rises
+    `uphill_deg`    where it rises: 0 ahead of the robot, 90 to its left
     `strength`      the torque of all servos against their data sheet: less with a low voltage
     `full_torque_deg`  the error at which a servo gives all its torque (its stiffness)
     `brake_s`       the damping of its control loop: the torque against the speed, by stiffness
@@ -65,6 +66,7 @@ class PhysicsWorld(Struct, frozen=True, kw_only=True):
     friction: float = 0.8
     body_kg: float = 0.6
     slope_deg: float = 0.0
+    uphill_deg: float = 0.0
     strength: float = 1.0
     full_torque_deg: float = 5.0
     brake_s: float = 0.02
@@ -146,6 +148,7 @@ def judged_walk(
 def verdict_lines(verdict: WalkVerdict, world: PhysicsWorld) -> list[str]:
     """Return what a person reads of a verdict, the assumptions first."""
     slope = f", ground rising by {world.slope_deg:g} deg" if world.slope_deg else ""
+    slope += f" to {world.uphill_deg:g} deg" if world.slope_deg and world.uphill_deg else ""
     lines = [
         f"physics (MuJoCo; assumed: friction {world.friction:g}, body {world.body_kg:g} kg, torque "
         f"{world.strength:g} of the data sheet{slope}):"
@@ -296,7 +299,12 @@ def _mjcf(
         for link, point in figure.feet
     )
     slope = math.radians(world.slope_deg)
-    gravity = f"{-9.81 * math.sin(slope):.6g} 0 {-9.81 * math.cos(slope):.6g}"
+    uphill = math.radians(world.uphill_deg)
+    down = 9.81 * math.sin(slope)
+    gravity = (
+        f"{-down * math.cos(uphill):.6g} {-down * math.sin(uphill):.6g} "
+        f"{-9.81 * math.cos(slope):.6g}"
+    )
     hips = np.array(figure.links[0].lines_mm[0])
     half = np.maximum(np.abs(hips[:, :2]).max(axis=0), 0.5 * BODY_HEIGHT_MM) / 1000.0
     kilograms = {

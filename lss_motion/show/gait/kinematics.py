@@ -213,6 +213,16 @@ class Stance(Struct, frozen=True, kw_only=True):
             margin[chosen] = _margin(feet, centre[chosen])
         return margin
 
+    def slope_deg(self) -> FloatArray:
+        """Return the slope of the ground on which nothing is left of the margin, (n,); 0: none is.
+
+        On a slope the weight acts where the plumb line meets the ground: height times tangent
+        further down. The centre of the body is taken for that of the mass; a tilt of the body
+        alone, on level ground, leaves it where it is.
+        """
+        margin_mm = np.maximum(self.margin_mm(), 0.0)
+        return np.asarray(np.degrees(np.arctan2(margin_mm, self.shift_mm[:, 2])))
+
     def tip_s(self, step_height_mm: float) -> FloatArray:
         """Return how long the body needs to tip onto its lifted feet, (n,); inf: it does not.
 

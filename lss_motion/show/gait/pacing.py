@@ -74,7 +74,8 @@ class Paced(Struct, frozen=True, kw_only=True):
 
     `times_s` are those of the author. The joints follow the clamped spline through `angles_deg`,
     (n, joints), ordered by legs. `joint` and `limit` are the ones used most. `margin_min_mm` is
-    the smallest stability margin (see `Stance.margin_mm`), at `margin_min_s`.
+    the smallest stability margin (see `Stance.margin_mm`), at `margin_min_s`. `slope_max_deg` is a
+    slope on which nothing is left of it at some instant (`Stance.slope_deg`).
     """
 
     passage: Passage
@@ -86,6 +87,7 @@ class Paced(Struct, frozen=True, kw_only=True):
     limit: Literal["speed", "acceleration"]
     margin_min_mm: float
     margin_min_s: float
+    slope_max_deg: float
     tip_ratio: float
     """How soon the body tips onto its lifted feet, as a share of the time of their step; 1 or more:
     it does not, or not before they land."""
@@ -156,6 +158,7 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
         limit="speed" if by_speed[tightest] >= by_accel[tightest] else "acceleration",
         margin_min_mm=float(margin_mm[worst]),
         margin_min_s=float(checked_s[worst]),
+        slope_max_deg=float(stance.slope_deg().min()),
         tip_ratio=_tip_ratio(gait, stance, margin_mm, pace_ratio),
         hold_s=last.hold_s if isinstance(last, BodyMove) else 0.0,
     )
@@ -339,6 +342,7 @@ def gait_as_json(gait: Gait, passages: tuple[Paced, ...]) -> dict[str, Any]:
                 "joint": part.joint,
                 "limit": part.limit,
                 "margin_min_mm": part.margin_min_mm,
+                "slope_max_deg": part.slope_max_deg,
                 "tip_ratio": part.tip_ratio,
                 "margin_at_s": part.margin_min_s * part.pace_ratio,
                 "actions": [
@@ -382,7 +386,10 @@ def looped_s(gait: Gait, part: Paced) -> float:
 
 def _pace_text(part: Paced) -> str:
     margin_mm, at_s = part.margin_min_mm, part.margin_min_s * part.pace_ratio
-    text = f"body at least {margin_mm:.0f} mm inside of its feet (after {at_s:.2f} s)"
+    text = (
+        f"body at least {margin_mm:.0f} mm inside of its feet (after {at_s:.2f} s), on ground that "
+        f"slopes by less than {part.slope_max_deg:.1f} deg"
+    )
     if margin_mm < 0.0:
         text = f"body up to {-margin_mm:.0f} mm outside of its feet (after {at_s:.2f} s)"
         if part.tip_ratio < 1.0:

@@ -6,6 +6,7 @@ import math
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -62,6 +63,33 @@ def test_on_a_slope_it_slides_where_the_friction_is_less_than_the_tangent(judged
     world = PhysicsWorld(friction=friction, slope_deg=10.0)
     _, _, verdict = judged(HEXAPOD, STAND, world, start="standing")
     assert (verdict.walked_mm[0] < -50.0) is slides
+
+
+@pytest.mark.parametrize("uphill", [1.0, -1.0])
+@pytest.mark.parametrize(("share", "stands"), [(0.8, True), (1.25, False)])
+def test_a_standing_robot_tips_over_on_the_slope_that_is_claimed(judged, share, stands, uphill):
+    _, passages, verdict = judged(QUADRUPED, STAND, start="standing")
+    assert verdict.is_upright
+    slope_deg = uphill * share * passages[0].slope_max_deg
+    _, _, verdict = judged(
+        QUADRUPED, STAND, PhysicsWorld(friction=2.0, slope_deg=slope_deg), start="standing"
+    )
+    assert verdict.is_upright is stands
+
+
+def test_a_slope_takes_height_times_tangent_of_the_margin(tmp_path):
+    """The centre as a plumb line sees it on the slope: half of the margin is left at half of it."""
+    _, passages, _, _ = planned(tmp_path, QUADRUPED, STAND, start="standing")
+    part = passages[0]
+    stance = part.passage.at(np.zeros(1))
+    margin_mm, height_mm = float(stance.margin_mm()[0]), float(stance.shift_mm[0, 2])
+    half = math.degrees(math.atan(0.5 * margin_mm / height_mm))
+    moved = math.tan(math.radians(half)) * height_mm
+    lower = msgspec.structs.replace(stance, places=stance.places + np.array([[0.0, moved, 0.0]]))
+    feet = stance.feet_mm
+    assert lower.margin_mm()[0] < margin_mm
+    assert np.allclose(feet, lower.feet_mm)
+    assert math.tan(math.radians(part.slope_max_deg)) == pytest.approx(2.0 * moved / height_mm)
 
 
 def test_servos_that_are_too_weak_are_at_their_end(judged):
