@@ -57,13 +57,15 @@ export class ContentsEditor {
 
   /**
    * Make changes of the newest text, as one step of undo; resolves to whether they were made.
-   * @param {(model: Model) => Change[]} make called for each change anew, until it returns none
+   * @param {(model: Model) => Change[]} make
+   * @param {string} [gesture] changes with the same one, one after the other, are one step
    * @returns {Promise<boolean>}
    */
-  change(make) {
+  change(make, gesture) {
     this.#gesture += 1;
-    const gesture = `contents-${Date.now()}-${this.#gesture}`;
-    const done = this.#last.then(() => this.#all(make, gesture));
+    gesture ??= `contents-${Date.now()}-${this.#gesture}`;
+    const name = gesture;
+    const done = this.#last.then(() => this.#all(make, name));
     this.#last = done;
     return done;
   }

@@ -7,6 +7,7 @@ import { Choice } from "../parts/choice.js";
 import { Pick } from "../parts/pick.js";
 import { Section, Slider, Small } from "./fields.js";
 import { addOf, isSoloed, moveOf, removeOf, setOf, soloOf } from "./editor.js";
+import { GaitContents } from "./gait.js";
 import { Sounds } from "./sound.js";
 import { freeJoints, newTrack, startAngles } from "./tracks.js";
 
@@ -27,6 +28,7 @@ export function Contents({ state, actions }) {
   if (welcome?.role !== "edit") return html`<p class="muted">You may look here. Changing the show needs the role edit.</p>`;
   const value = own === null ? undefined : model?.files[own.file]?.value;
   if (own === null || value === undefined) return html`<p class="muted">${own?.is_planning ? "The file is being read…" : "The file cannot be read: mend its text first."}</p>`;
+  if ("gait" in value) return html`<${GaitContents} ...${{ state, actions, file: own.file, value }} />`;
   if (!("sequence" in value)) return html`<p class="muted">Only a sequence has events, tracks, layers and a play list.</p>`;
   const part = { state, actions, file: own.file, value };
   return html`<${Sounds} ...${part} /><${Events} ...${part} /><${Looped} ...${part} />
