@@ -6,6 +6,7 @@ the operator move the robot, or finds its servos.
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -42,12 +43,17 @@ NOTES_MAX: Final = 50
 """Notes of a stage that a client gets which comes later: the newest."""
 ROBOT: Final = "robot"
 """Only the newest state of the robot counts, so it is offered, not sent."""
-Task = Literal["show", "live", "scan"]
+Task = Literal["show", "live", "scan", "puppet"]
 BUSY: Final[dict[Task, str]] = {
     "show": "a show plays; stop it first",
     "live": "the robot is connected; disconnect it first",
     "scan": "the servos are being searched; wait a moment",
+    "puppet": "the joints follow a client; end that first (disconnect)",
 }
+
+
+LED: Final = frozenset({"show", "puppet"})
+"""Tasks whose end is that of a player."""
 
 
 class DeskOptions(Struct, frozen=True, kw_only=True):
@@ -125,7 +131,7 @@ class Desk:
             self._change(text="")
             return
         self._next = None
-        is_show = self._player is not None and self._task == "show"
+        is_show = self._player is not None and self._task in LED
         self._change(state="stopping" if is_show else self._state.state)
 
     def obey(self, operation: m.AnyOperation, key: int) -> bool:
@@ -133,7 +139,17 @@ class Desk:
         assert self.document is not None
         if isinstance(operation, EditOperation):
             return self.document.edit(operation, key)
-        return self._obey(operation, key)
+        match operation:
+            case m.Puppeteer():
+                return self._puppeteer(operation, key)
+            case m.LeadJoints():
+                self._lead(operation)
+                return True
+            case m.Disconnect() if self._task == "puppet" and self._player is not None:
+                self.end_run()
+                return True
+            case _:
+                return self._obey(operation, key)
 
     def _obey(self, operation: m.AnyOperation, key: int) -> bool:
         """Carry out what is asked of show, robot and server."""
@@ -183,7 +199,7 @@ class Desk:
         """Do what the rule says about an operator that is gone; a robot without a show holds."""
         if self._player is None or self._task == "scan":
             return
-        if self._task == "live":
+        if self._task in ("live", "puppet"):
             self._player.send(m.Stop())
         elif self._options.on_lost != "go_on":
             done = "stops" if self._options.on_lost == "stop" else "pauses"
@@ -337,6 +353,52 @@ class Desk:
         self._start(job, task, self._take_of_robot, {})
         self._tell_robot("connecting")
 
+    def _puppeteer(self, operation: m.Puppeteer, key: int) -> bool:
+        """Let the joints of the connected robot follow a client, from where they were read."""
+        assert self.document is not None
+        self._require_armed()
+        if self._player is None or self._task != "live":
+            raise InputError("the robot is off; connect it first")
+        reply = self.document.newest if self.document.newest.robot else self.document.good
+        if reply is None or not reply.puppet_job:
+            raise InputError("these joints cannot follow: see the Robot page")
+        joints = json.loads(self._robot)["joints"]
+        if unknown := sorted({*operation.joints} - joints.keys()):
+            raise InputError(f"the robot has no joint {unknown[0]!r}")
+        standing_deg = {
+            name: one["deg"]
+            for name, one in joints.items()
+            if name in operation.joints or not one["is_limp"]
+        }
+        if not standing_deg:
+            raise InputError("all joints are limp; name those that shall follow")
+        if None in standing_deg.values():
+            raise InputError("not every joint was read yet; wait a moment")
+        job = reply.puppet_job
+        self._player.send(m.Disconnect())
+
+        def start() -> None:
+            try:
+                self._require_armed()
+            except InputError as refused:
+                self._hub.answer(key, str(refused))
+                return
+            self._kept, self._trouble = {}, []
+            options = {"standing_deg": standing_deg}
+            self._start(job, "puppet", self._take_of_show, options)
+            self._change(state="starting", plan=None, text="")
+            self._tell_robot("playing")
+            self._hub.answer(key)
+
+        self._next = start
+        return False
+
+    def _lead(self, operation: m.LeadJoints) -> None:
+        """Pass targets on; the player answers only what it refuses."""
+        if self._player is None or self._task != "puppet":
+            raise InputError("no joints follow now; begin with puppeteer")
+        self._player.send(operation)
+
     def _require_same_robot_file(self) -> None:
         """Refuse to write a robot file that has changed on disk since it was read."""
         assert self.document is not None
@@ -459,7 +521,7 @@ class Desk:
         assert player is self._player
         self._player = None
         begin, self._next = self._next, None
-        if self._task == "show":
+        if self._task in LED:
             self._change(**{**self._end_state, "text": self._end_state["text"] or self._outcome})
         self._tell_robot("off", self._end_text)
         if begin is not None:

@@ -100,6 +100,8 @@ class PlannerReply(Struct, frozen=True, kw_only=True):
     live_job: bytes = b""
     """The packed job of the robot without a show."""
     scan_job: bytes = b""
+    puppet_job: bytes = b""
+    """The packed job of joints that follow a client; empty where they cannot."""
     robot_path: Path | None = None
     robot_digest: str = ""
     """Of the content of the robot file, when it was loaded."""
@@ -185,20 +187,33 @@ def _files_of_robot(robot: Robot) -> list[Path]:
     ]
 
 
+def _puppet(robot: Robot) -> dict[str, Any]:
+    """Return how late joints follow a client at most, or why they cannot."""
+    from lss_motion.playing.remote.job import puppet_latency_s
+
+    try:
+        return {"latency_s": puppet_latency_s(robot), "problem": None}
+    except InputError as error:
+        return {"latency_s": None, "problem": error.reason}
+
+
 def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
     from lss_motion.maintenance.guided import ServoTasks
     from lss_motion.maintenance.survey import ScanJob
     from lss_motion.playing.connection import is_simulated
     from lss_motion.playing.live_end import LiveJob
+    from lss_motion.playing.remote.job import PuppetJob
     from lss_motion.playing.remote.process import packed
     from lss_motion.studio.robot_view import robot_view
 
+    puppet = _puppet(robot)
     return {
         "robot_path": robot.path,
         "robot_digest": "" if robot.path is None else file_digest(robot.path),
-        "robot": finite_json(robot_view(robot, gait)),
+        "robot": finite_json({**robot_view(robot, gait), "puppet": puppet}),
         "live_job": packed(LiveJob(robot=robot, tasks=ServoTasks())),
         "scan_job": packed(ScanJob(robot=robot)),
+        "puppet_job": packed(PuppetJob(robot=robot)) if puppet["problem"] is None else b"",
         "port": ", ".join(bus.port for bus in robot.buses.values()),
         "is_simulated": is_simulated(robot),
         "title": robot.name,

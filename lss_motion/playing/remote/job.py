@@ -14,7 +14,7 @@ from lss_motion.playing.player.following import Following, FollowRule, require_c
 from lss_motion.playing.remote.message import duration_of, plan_hash
 from lss_motion.playing.remote.player_end import LossRule, Steering
 from lss_motion.playing.remote.schema import Ended, MarkInfo, Started
-from lss_motion.playing.targets import TargetLimiter, TargetRule
+from lss_motion.playing.targets import TargetLimiter, TargetRule, live_program
 from lss_motion.playing.walking.steered import SteeredWalk
 
 if TYPE_CHECKING:
@@ -78,6 +78,41 @@ class Job(Struct, frozen=True, kw_only=True):
             outcome = Outcome(None, error)
             operator.send(outcome.message)
             return outcome
+
+
+class PuppetJob(Struct, frozen=True, kw_only=True):
+    """Joints that follow targets, from where they stand: `standing_deg` of the options."""
+
+    robot: Robot
+    rule: LossRule = field(default_factory=LossRule)
+    targets: TargetRule = field(default_factory=TargetRule)
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def run(self, operator: Operator) -> Outcome:
+        """Let them follow this client until it stops."""
+        robot = replace(self.robot, end="hold")
+        try:
+            robot.require_servos("a joint that follows targets")
+            program = live_program(robot, self.options["standing_deg"])
+        except LssMotionError as error:
+            outcome = Outcome(None, error)
+            operator.send(outcome.message)
+            return outcome
+        options = {"is_open": True}
+        job = Job(shows=program, robot=robot, rule=self.rule, targets=self.targets, options=options)
+        return job.run(operator)
+
+
+def puppet_latency_s(robot: Robot) -> float:
+    """Return the bound from a target at the player to the horn of any joint of a robot.
+
+    It holds without faults, and while the computer keeps time (`TargetLimiter.latency_s`). Raises
+    `InputError` for a robot whose joints cannot follow targets.
+    """
+    robot.require_servos("a joint that follows targets")
+    low_deg = {one.name: one.position_min_deg for one in robot.joints.values()}
+    limiter = TargetLimiter(live_program(robot, low_deg), robot)
+    return max(limiter.latency_s(name) for name in low_deg)
 
 
 class Outcome(Struct, frozen=True):

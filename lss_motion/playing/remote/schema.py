@@ -156,6 +156,15 @@ class Jog(Operation, frozen=True, kw_only=True, tag="jog"):
     to_deg: Annotated[float, Meta(ge=-TURN_MAX_DEG, le=TURN_MAX_DEG)] | None = None
 
 
+class Puppeteer(Operation, frozen=True, kw_only=True, tag="puppeteer"):
+    """Let the joints of a connected robot follow `target`, from where they are, until `disconnect`.
+
+    Those that are limp stay so, but for `joints`, which get power where they are.
+    """
+
+    joints: Annotated[tuple[Name, ...], Meta(max_length=JOINTS_MAX)] = ()
+
+
 class LeadJoints(Operation, frozen=True, kw_only=True, tag="target"):
     """Lead joints to these angles, within their limits; the newest of each joint counts.
 
@@ -248,6 +257,7 @@ AnyOperation = (
     | Connect
     | Disconnect
     | Jog
+    | Puppeteer
     | LeadJoints
     | SteerWalk
     | PoseGo

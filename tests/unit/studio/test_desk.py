@@ -274,3 +274,43 @@ def test_a_pose_is_not_written_into_a_file_that_has_changed(stage, tmp_path):
     assert stage.ask("pose.save", pose="up", is_new=True) is None
     path.write_text("a: 2\n")
     assert "has just changed on disk" in stage.ask("pose.save", pose="up", is_new=True)
+
+
+def test_joints_follow_a_client_from_where_they_were_read_and_a_stop_is_kept(stage):
+    stage.plan(puppet_job=b"puppet")
+    assert "connect it first" in stage.ask("puppeteer")
+    assert "begin with puppeteer" in stage.ask("target", deg={"a": 1})
+    stage.ask("connect")
+    (live,) = PlayerStub.all
+    joints = {"a": {"deg": 5.0, "is_limp": False}, "b": {"deg": None, "is_limp": True}}
+    live.tell("robot", state="live", port="", is_simulated=True, joints=joints, text="")
+    assert "no joint 'c'" in stage.ask("puppeteer", joints=["c"])
+    assert "not every joint was read" in stage.ask("puppeteer", joints=["b"])
+    assert stage.ask("puppeteer") is None, "the robot is given up first"
+    assert [one.op for one in live.sent] == ["disconnect"]
+    live.end("stopped")
+    puppet = PlayerStub.all[-1]
+    assert (puppet.job, puppet.options) == (b"puppet", {"standing_deg": {"a": 5.0}})
+    assert stage.last("player")["state"] == "starting"
+    assert stage.ask("target", deg={"a": 9}) == "accepted"
+    assert puppet.sent[-1].deg == {"a": 9}
+    assert "follow a client" in stage.ask("play")
+    assert stage.ask("disconnect") == "accepted"
+    assert puppet.sent[-1].op == "stop"
+    assert stage.stops.done == [], "ending it is no stop that is kept"
+    puppet.end("stopped")
+    assert stage.robot["state"] == "off"
+    assert "begin with puppeteer" in stage.ask("target", deg={"a": 1})
+
+
+def test_a_stop_while_the_robot_is_given_up_keeps_joints_from_following(stage):
+    stage.plan(puppet_job=b"puppet")
+    stage.ask("connect")
+    (live,) = PlayerStub.all
+    joints = {"a": {"deg": 5.0, "is_limp": False}}
+    live.tell("robot", state="live", port="", is_simulated=True, joints=joints, text="")
+    stage.ask("puppeteer")
+    stage.ask("stop")
+    live.end("stopped")
+    assert PlayerStub.all == [live], "nothing begins after a stop"
+    assert "arm it again" in stage.ask("puppeteer")

@@ -40,6 +40,7 @@ export function RobotPage({ store, link, actions }) {
     ask=${(/** @type {import("./robot_view.js").Question} */ question) => actions.set({ dialog: { kind: "confirm", ...question } })}
     schedule=${nextFrame}
     theme=${state.theme}
+    puppeteer=${() => actions.set({ dialog: { kind: "puppet" } })}
   />`;
 }
 

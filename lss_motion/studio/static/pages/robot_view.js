@@ -97,8 +97,9 @@ export function whyStill(live, isMine, isLatched, isLost) {
  * @param {(question: Question) => void} props.ask
  * @param {(draw: () => void) => void} props.schedule
  * @param {unknown} props.theme
+ * @param {() => void} [props.puppeteer] opens what leads the joints
  */
-export function RobotView({ robot, live, stood, health, isMine, isLatched, isLost, scanned, maintenance, send, ask, schedule, theme }) {
+export function RobotView({ robot, live, stood, health, isMine, isLatched, isLost, scanned, maintenance, send, ask, schedule, theme, puppeteer }) {
   const [problem, setProblem] = useState("");
   const [held, setHeld] = useState(/** @type {string | null} */ (null));
   const [speed, setSpeed] = useState(/** @type {keyof typeof SPEEDS} */ ("medium"));
@@ -149,6 +150,7 @@ export function RobotView({ robot, live, stood, health, isMine, isLatched, isLos
         >
           Scan
         </button>
+        ${puppeteer === undefined ? null : html`<button type="button" onClick=${puppeteer}>Puppeteer …</button>`}
         <${Choice} label="jog speed" options=${Object.keys(SPEEDS).map((word) => [word, word])} chosen=${speed} choose=${setSpeed} />
       </div>
       <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Drag a slider, or hold + or −, to turn a joint; let go to stop it."}</p>

@@ -4,6 +4,7 @@
 import { html, useLayoutEffect, useRef, useState } from "../vendor/preact.js";
 import { Files } from "../contents/files.js";
 import { KEYMAP, STOP_KEYS } from "../keymap.js";
+import { Puppet } from "../pages/puppet.js";
 import { Choice } from "./choice.js";
 import { FileText } from "./text.js";
 
@@ -16,6 +17,7 @@ export function Dialogs({ state, actions }) {
   const close = () => actions.set({ dialog: null });
   if (dialog.kind === "help") return html`<${Box} title="Keys" close=${close}><${Help} /></${Box}>`;
   if (dialog.kind === "files") return html`<${Box} title="Files" close=${close}><${Files} state=${state} actions=${actions} /></${Box}>`;
+  if (dialog.kind === "puppet") return html`<${Box} title="Puppeteer" close=${close}><${Puppet} state=${state} actions=${actions} /></${Box}>`;
   if (dialog.kind === "text") {
     const file = dialog.file ?? "";
     return html`<${Box} title=${file} close=${close}><${FileText} ...${{ state, actions, file }} line=${dialog.line ?? null} /></${Box}>`;
