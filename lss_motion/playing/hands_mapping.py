@@ -7,13 +7,17 @@ the two readings of the others.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
 
+from lss_motion.robot.profile import Piece, ramp_deg_s2, trapezoid, travel_speed
+from lss_motion.units import NS_PER_S
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from lss_motion.playing.joint_view import JointView
     from lss_motion.robot.mechanism import FloatArray, Mechanism
@@ -24,6 +28,12 @@ WAY_PLACES: Final = 9
 HALVINGS: Final = 20
 """So often the way to a target that a servo cannot reach is halved: to a millionth of it."""
 EDGE_DEG: Final = 1e-6
+SPEED_NS: Final = NS_PER_S // 20
+"""A speed is read over at least so long: readings have steps of 0.1 deg."""
+ON_THE_WAY: Final = 25
+"""Places of a predicted way. Chosen: a few degrees apart, or less."""
+BEYOND_DEG: Final = 0.2
+"""So far a joint may pass its range: noise of the readings from which the way is predicted."""
 
 
 class JointReading(Struct, frozen=True):
@@ -43,8 +53,16 @@ class JointReadings:
         self._view = view
         self._last: dict[str, tuple[JointReading, JointReading]] = {}
         """The last two readings of each servo."""
+        self._seen: dict[str, deque[JointReading]] = {}
+        """The readings of each servo over `SPEED_NS`."""
         self._told_ns: dict[str, int] = {}
         """By mechanism the instant of the last angles."""
+
+    def speed_deg_s(self, servo: str) -> float:
+        """Return the speed of a servo of a mechanism over the last `SPEED_NS`."""
+        seen = self._seen[servo]
+        passed_ns = seen[-1].at_ns - seen[0].at_ns
+        return (seen[-1].deg - seen[0].deg) * NS_PER_S / passed_ns if passed_ns else 0.0
 
     def add(self, reading: JointReading) -> list[JointReading]:
         """Take a reading of a servo; return the angles of joints that are known by it."""
@@ -54,6 +72,10 @@ class JointReadings:
             return [reading]
         before = self._last.get(reading.joint, (reading, reading))[1]
         self._last[reading.joint] = (before, reading)
+        seen = self._seen.setdefault(reading.joint, deque())
+        seen.append(reading)
+        while len(seen) > 2 and reading.at_ns - seen[1].at_ns >= SPEED_NS:
+            seen.popleft()
         own = [self._last[name] for name in mechanism.servos if name in self._last]
         at_ns = min(last.at_ns for _, last in own)
         if len(own) < len(mechanism.servos) or at_ns <= self._told_ns.get(mechanism.name, -1):
@@ -126,6 +148,43 @@ def servo_targets(
         servo_deg=dict(zip(mechanism.servos, target.tolist(), strict=True)),
         least_s=float(max(servo_s.max(), joint_s.max())),
     )
+
+
+def leaves_ranges(
+    mechanism: Mechanism,
+    robot: Robot,
+    standing: Mapping[str, tuple[float, float]],
+    servo_deg: Mapping[str, float],
+    duration_s: float,
+) -> bool:
+    """Return whether a move would take a joint out of its range on the way to its target.
+
+    Servos that are `standing` (angle and speed) elsewhere than at rest do not move in step: each
+    brakes first. The ranges of servos hold by themselves, since each goes to its own target.
+    """
+    pieces = []
+    for name in mechanism.servos:
+        servo, (deg, deg_s) = robot.servos[name], standing[name]
+        start, ramp = Piece(0.0, deg, deg_s, 0.0), ramp_deg_s2(servo)
+        asked = travel_speed(start, servo_deg[name], duration_s, ramp, servo.response)
+        pieces.append(trapezoid(start, servo_deg[name], min(asked, servo.speed_max_deg_s), ramp))
+    end_s = max(own[-1].start_s for own in pieces)
+    times_s = np.linspace(0.0, end_s, ON_THE_WAY)
+    way = np.array([[_at(own, at_s) for own in pieces] for at_s in times_s.tolist()])
+    angles = mechanism.transmission.joint_deg(way)
+    joints = [robot.joints[name] for name in mechanism.joints]
+    here = angles[0]
+    low = np.minimum([joint.position_min_deg for joint in joints], here) - BEYOND_DEG
+    high = np.maximum([joint.position_max_deg for joint in joints], here) + BEYOND_DEG
+    return bool(((angles < low) | (angles > high)).any())
+
+
+def _at(pieces: Sequence[Piece], at_s: float) -> float:
+    return max((one for one in pieces if one.start_s <= at_s), key=_begins).at(at_s)[0]
+
+
+def _begins(piece: Piece) -> float:
+    return piece.start_s
 
 
 def _within(joint: Joint, deg: float) -> float:

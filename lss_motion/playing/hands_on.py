@@ -17,7 +17,12 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from lss_motion.errors import LssMotionError
-from lss_motion.playing.hands_mapping import JointReading, JointReadings, servo_targets
+from lss_motion.playing.hands_mapping import (
+    JointReading,
+    JointReadings,
+    leaves_ranges,
+    servo_targets,
+)
 from lss_motion.playing.hands_poller import IDLE_NS, Poller, has_reading
 from lss_motion.playing.joint_view import JointView
 from lss_motion.playing.player import checks, handshake
@@ -37,10 +42,18 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.hands_poller import ServoHealth
     from lss_motion.playing.player.handshake import Answers
+    from lss_motion.robot.mechanism import Mechanism
     from lss_motion.robot.model import Joint, Robot
 
 PULSE_NS: Final = 20 * NS_PER_MS
 """An RC servo gets its pulse so often, and no step may be shorter (FACTS.md B19)."""
+RESTS_DEG_S: Final = 5.0
+"""A servo that is slower by its readings counts as at rest. Chosen: twice what steps of
+0.1 deg make of one that stands."""
+SLOWER_RATIO: Final = 1.5
+SLOWER_TIMES: Final = 8
+"""Servos that have other ramps are in step if they are slow: a move is made up to 25 times slower
+where a joint would leave its range on the way."""
 RAMP_PAUSE_S: Final = 0.1
 """A pause of this program is not made up for by a jump of an RC servo."""
 
@@ -107,6 +120,8 @@ class HandsOn:
         self._fresh: list[JointReading] = []
         self._wanted_deg: dict[str, float] = {}
         """Where joints of mechanisms were sent last, until they are limp or held."""
+        self._waiting: dict[str, tuple[str, float]] = {}
+        """By mechanism the joint whose move waits until its servos rest, and how long it takes."""
         self._ramps: dict[str, _Ramp] = {}
         self._ramped_ns = 0
         self.phase = Phase.CONNECT
@@ -139,6 +154,9 @@ class HandsOn:
             self._after_dialogue(leaves_ns)
         if self.phase is Phase.SHOW and self._dialogue is None:
             self._step_ramps(leaves_ns)
+            if self._waiting:
+                self._mix()
+                self._send_waiting()
             self._poller.advance(leaves_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
@@ -237,6 +255,8 @@ class HandsOn:
         """Forget where joints were sent: they do not stand there any more."""
         for name in joints:
             self._wanted_deg.pop(name, None)
+            if (mechanism := self.view.mechanism_of(name)) is not None:
+                self._waiting.pop(mechanism.name, None)
 
     def _holding(self, servo: Joint) -> Command:
         """Return what lets a servo hold; an RC servo knows only where it was sent."""
@@ -270,9 +290,48 @@ class HandsOn:
             name,
         )
         self._wanted_deg |= aim.joint_deg
-        self._send(aim.servo_deg, max(duration_s, aim.least_s))
         self.limp -= {*mechanism.joints}
+        lasts_s = self._in_step(mechanism, aim.servo_deg, max(duration_s, aim.least_s))
+        if lasts_s is None:
+            self._waiting[mechanism.name] = (name, duration_s)
+        else:
+            self._waiting.pop(mechanism.name, None)
+            self._send(aim.servo_deg, lasts_s)
         return aim.joint_deg[name]
+
+    def _in_step(
+        self, mechanism: Mechanism, servo_deg: Mapping[str, float], lasts_s: float
+    ) -> float | None:
+        """Return how long a move takes that keeps all joints in their ranges on its way.
+
+        None: its servos move, and have to brake first, which they do.
+        """
+        servos = [self._servo_robot.joints[name] for name in mechanism.servos]
+        if len(mechanism.joints) == 1 or not all(map(has_reading, servos)):
+            return lasts_s
+        readings, mixed = self._poller.readings, self._mixed
+        standing = {
+            name: (readings[name].deg, mixed.speed_deg_s(name)) for name in mechanism.servos
+        }
+        is_at_rest = max(abs(deg_s) for _, deg_s in standing.values()) < RESTS_DEG_S
+        for _ in range(SLOWER_TIMES):
+            if not leaves_ranges(mechanism, self.robot, standing, servo_deg, lasts_s):
+                break
+            if not is_at_rest:
+                if mechanism.name not in self._waiting:
+                    for servo in servos:
+                        self._poller.order(servo, self._holding(servo))
+                return None
+            lasts_s *= SLOWER_RATIO
+        return lasts_s
+
+    def _send_waiting(self) -> None:
+        """Send what had to wait until its servos rest."""
+        for mechanism in [self.robot.mechanisms[name] for name in self._waiting]:
+            speeds = (self._mixed.speed_deg_s(name) for name in mechanism.servos)
+            if max(map(abs, speeds)) < RESTS_DEG_S:
+                name, lasts_s = self._waiting.pop(mechanism.name)
+                self.move(name, self._wanted_deg[name], lasts_s)
 
     def _send(self, servo_deg: Mapping[str, float], duration_s: float) -> None:
         """Send servos there, in degrees of ideal servos."""

@@ -171,6 +171,43 @@ def test_ranges_hold_at_the_joint_and_at_every_servo(tmp_path):
     assert found["jaw"].max() < 22.3
 
 
+@pytest.mark.parametrize("accel", [100, 900])
+def test_no_joint_leaves_its_range_while_others_of_its_mechanism_turn_back(tmp_path, accel):
+    """Servos with other ramps, sent elsewhere on the way: each brakes in its own time."""
+    text = HEAD.replace("left: {id: 5}", f"left: {{id: 5, accel_max_deg_s2: {accel}}}")
+    robot = written(tmp_path, text)
+    moves = iter(
+        [("tilt", 25.0), ("roll", -15.0), ("tilt", -20.0), ("roll", 15.0), ("tilt", 25.0)] * 3
+    )
+    clock, began, hands_on = VirtualClock(), [], HandsOn(robot, ["tilt"])
+
+    class Person:
+        def filenos(self):
+            return []
+
+        def act(self, driven, now_ns):
+            if driven.phase != "playing":
+                return
+            began.append(now_ns)
+            if now_ns - began[0] > len(sent) * 0.45 * S and (move := next(moves, None)):
+                sent.append(move)
+                driven.move(*move, 0.4)
+            if now_ns - began[0] > 12 * S:
+                driven.stop()
+
+    sent = []
+    with connect(robot.buses, robot=robot, clock=clock) as connection:
+        run_loop(hands_on, connection.ports, clock, controls=Person())
+        bus = connection.simulated["main"]
+    found = joints_of(bus.horn_deg(np.arange(began[0], clock.now_ns(), 2_000_000).tolist()))
+    assert len(sent) == 15
+    for name in ("tilt", "roll"):
+        joint = robot.joints[name]
+        assert found[name].min() > joint.position_min_deg - 0.8, name
+        assert found[name].max() < joint.position_max_deg + 0.8, name
+    assert found["tilt"][-1] == pytest.approx(25.0, abs=0.5), "it comes there at the end"
+
+
 def test_mechanisms_go_limp_and_hold_together(head):
     _, bus, _, _ = session(
         head, (0.2, m.Limp(joints=("arm",))), (0.8, m.Hold(joints=("arm",))), (1.5, m.Stop())
