@@ -140,8 +140,8 @@ export function FigurePanel({ store, isSought = false }) {
   if (figure === null) return html`<${NoFigure} robot=${robot} />`;
   const view = store.state.value.view;
   return html`<div ref=${place} class="figure-panel"></div>
-    <ul class="figure-legend" aria-label="legend of the figure">
+    ${view === null ? null : html`<ul class="figure-legend" aria-label="legend of the figure">
       ${drawn_as.split(" ").map((name, index) => html`<li key=${name} class=${`is-${name} ${index === 0 ? "is-solid" : ""}`}>${name}</li>`)}
-      ${view !== null && hasGhost(view) ? html`<li class="is-authored">authored</li>` : null}
-    </ul>`;
+      ${hasGhost(view) ? html`<li class="is-authored">authored</li>` : null}
+    </ul>`}`;
 }
