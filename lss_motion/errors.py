@@ -126,6 +126,16 @@ class BlockedPortError(LostPortError):
     """A port that is still there, but takes no bytes, or none leaves it."""
 
 
+class StoppedError(LssMotionError):
+    """A person stopped the motion, by a key or a signal; what it was for has no result."""
+
+    exit_code = EXIT_INTERRUPTED
+
+    def __init__(self, text: str, exit_code: int = EXIT_INTERRUPTED) -> None:
+        super().__init__(text)
+        self.ended_code = exit_code
+
+
 class PlaybackError(LssMotionError):
     """The robot did not follow: stalled, in safe mode, silent, or out of tolerance."""
 

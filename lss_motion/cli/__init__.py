@@ -15,6 +15,7 @@ docs            `docs`: opens the guides
 doctor          `doctor`, `devices`: check this computer; its sound devices
 examples        `example`: list the packaged examples, write one
 exchange        `import`, `export`: motion of other tools, and motion for them
+field_test      `field-test`: judge all assumptions about servos in an hour
 identify        `identify`: measure the response of servos
 import_urdf     `import-urdf`: a robot that others described, as a robot file
 manual          `reference`, `completion`: pages of servo commands, scripts for shells

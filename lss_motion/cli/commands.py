@@ -67,6 +67,7 @@ COMMAND_GROUPS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "configure": ("configure", "read, compare and write settings"),
         "calibrate": ("by_hand", "find zero and direction of each joint by hand"),
         "identify": ("identify", "measure the response of servos"),
+        "field-test": ("field_test", "judge all assumptions about servos in an hour"),
         "monitor": ("monitor", "show the live state of all servos"),
         "send": ("send", "send one command to one servo; print the reply"),
         "doctor": ("doctor", "check this computer; print what to do"),

@@ -15,4 +15,5 @@ opens the ports, and `cli` interacts with the person.
 | `careful.py`        | the first, careful run of one joint                 | `cli.careful`       |
 | `guided.py`         | calibration and identification, led step by step    | `studio`            |
 | `identify/`         | measures how a servo responds                       | `cli.identify`      |
+| `field/`            | judges what is assumed of servos, in an hour        | `cli.field_test`    |
 """

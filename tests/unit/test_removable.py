@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 REMOVED = {
     "interchange": ("exchange", "by_hand"),
-    "maintenance": ("by_hand", "configure", "identify", "monitor", "scan", "send"),
+    "maintenance": ("by_hand", "configure", "field_test", "identify", "monitor", "scan", "send"),
     "sound": ("beats", "exchange"),
     "stage": ("doctor", "serving", "stages"),
     "studio": ("serving",),

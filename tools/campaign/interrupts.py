@@ -71,6 +71,7 @@ COMMANDS: Final = (
     "record --robot robot.yaml -o shown.yaml --seconds 3",
     "calibrate robot.yaml",
     "identify --robot robot.yaml pan --span-deg 6 --yes",
+    "field-test robot.yaml -o field.zip --joints pan",
     "send --robot robot.yaml --id 1 --yes D 30 T 800",
     "configure robot.yaml --yes",
     "configure --port port --id 1 --new-id 5 --yes",
@@ -93,7 +94,7 @@ AFTER_LINES: Final = (0, 1, 2, 4, 7, 12, 20, 35, 60, 120)
 program handles signals."""
 SEEDS: Final = len(COMMANDS) * len(SIGNALS) * len(AFTER_LINES)
 """Each combination once."""
-OUTPUTS: Final = {"shown.yaml", "robot.learnt.yaml", "log"}
+OUTPUTS: Final = {"field.zip", "shown.yaml", "robot.learnt.yaml", "log"}
 """What a command may leave, besides the files that it was given."""
 IN_FRONT: Final = (
     "import os, sys; os.setsid(); os.close(os.open(os.ttyname(0), os.O_RDWR)); "

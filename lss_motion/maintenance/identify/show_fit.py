@@ -98,8 +98,10 @@ LOOSE_DEG: Final = 0.5
 coarse parameters ended beside it in half of the shows of a servo with slow ramps and a load."""
 PHASES: Final = 16
 """Phases of the control loop that are tried for their share of the errors."""
-DECIDED_SIGMAS: Final = 2.5
+DECIDED_SIGMAS: Final = 2.0
 """A law is excluded where it is worse by so many standard errors of the sum over all pieces."""
+PIECE_COST_MAX: Final = OUTLIER**2
+"""No piece counts for more in that sum than one reading at the border of an outlier."""
 EXPLAINED_MISFIT: Final = 1.6
 """A fit that misses by more, in units of the scatter at rest, has not found what the servo does:
 then no law and no value is certain. Chosen: right models miss by 0.8 to 1.2."""
@@ -141,9 +143,8 @@ class Fitted(NamedTuple):
         """
         if other.misfit <= DECIDED_RATIO * self.misfit:
             return False
-        better = other.costs - self.costs
-        spread = math.sqrt(len(better)) * float(np.std(better))
-        return float(better.sum()) > DECIDED_SIGMAS * spread
+        better = np.clip(other.costs - self.costs, -PIECE_COST_MAX, PIECE_COST_MAX)
+        return float(better.sum()) > DECIDED_SIGMAS * float(np.linalg.norm(better))
 
     def measured(self, value: Callable[[FloatArray], FloatArray]) -> Measured:
         """Return a function of the shared parameters, with its standard error."""
