@@ -10,6 +10,7 @@ another one of that name is refused. What a show makes of it are edits (`documen
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import filecmp
 import os
@@ -70,7 +71,7 @@ class Uploads:
         try:
             if not await _received(request, own):
                 return JSONResponse({"error": "the sound is too large, or was cut off"}, 400)
-            is_new = _kept(own, path)
+            is_new = await asyncio.to_thread(_kept, own, path)  # It reads all of a large file.
         finally:
             own.unlink(missing_ok=True)
         return JSONResponse({"file": document.name_of(path), "is_new": is_new})
