@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import pickle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -77,6 +78,27 @@ class TrialResult(Struct, frozen=True, kw_only=True):
     """Something newer came before it was tried, or the planner has ended."""
 
 
+class SpliceRequest(Struct, frozen=True, kw_only=True):
+    """A show that plays (`job`) shall go on as the show that was planned last, named `plan`."""
+
+    number: int
+    """It comes back in the result."""
+    plan: str
+    job: bytes
+    reached_s: float
+    """What is due before that show time stays."""
+
+
+class SpliceResult(Struct, frozen=True, kw_only=True):
+    """The edit for the player (a pickled `ProgramEdit`) and the job that then plays, or why not."""
+
+    number: int
+    problem: str | None = None
+    plan: str = ""
+    edit: bytes = b""
+    job: bytes = b""
+
+
 class PlannerReply(Struct, frozen=True, kw_only=True):
     """What became of a request; without a plan where `problems` say why, or it is a robot file."""
 
@@ -115,6 +137,9 @@ class PlannerReply(Struct, frozen=True, kw_only=True):
     """The stage of a stage file, without its robot."""
     plans: Mapping[str, str] = field(default_factory=dict)
     """The plan of each show of a stage."""
+
+
+AnyRequest = Request | EditTrial | SpliceRequest
 
 
 def reply_to(request: Request, keep: Callable[[WholePlan], None] = lambda _: None) -> PlannerReply:
@@ -417,13 +442,15 @@ def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
 
 def main(pipe: MessagePipe) -> int:
     """Answer requests until the pipe ends; return an exit code."""
-    typed: TypedPipe[Request | EditTrial] = TypedPipe(pipe)
+    typed: TypedPipe[AnyRequest] = TypedPipe(pipe)
     from lss_motion.studio.trial import tried
 
     plans: list[WholePlan] = []
     while arrived := _arrived(typed):
         for request in _newest(arrived):
-            if isinstance(request, EditTrial):
+            if isinstance(request, SpliceRequest):
+                typed.send_object(spliced(request, plans[-1] if plans else None))
+            elif isinstance(request, EditTrial):
                 whole = plans[-1] if plans else None
                 problem, window = tried(request.operation, request.texts, whole)
                 result = TrialResult(number=request.number, problem=problem, window=window)
@@ -434,9 +461,34 @@ def main(pipe: MessagePipe) -> int:
     return 0
 
 
-def _arrived(typed: TypedPipe[Request | EditTrial]) -> list[Request | EditTrial]:
+def spliced(request: SpliceRequest, whole: WholePlan | None) -> SpliceResult:
+    """Return how a show that plays goes on as the one that was planned last, or why it cannot."""
+    from lss_motion.planning.program.live_edit import PlannedShow, live_edit
+    from lss_motion.playing.remote.message import plan_hash
+    from lss_motion.playing.remote.process import packed
+
+    number = request.number
+    plan = None if whole is None else plan_hash(whole.show.program)
+    if whole is None or plan is None or plan.hex() != request.plan:
+        return SpliceResult(number=number, problem="it is planned again already; try again")
+    job = pickle.loads(request.job)  # noqa: S301  (packed by this program)
+    show = whole.show
+    assert show.trajectory is not None
+    if job.robot != show.robot:
+        return SpliceResult(number=number, problem="the robot file was changed; START plays it")
+    playing = PlannedShow(job.shows, job.trajectory)
+    edited = PlannedShow(show.program, show.trajectory)
+    try:
+        edit = live_edit(playing, edited, job.robot, reached_s=request.reached_s, plan=plan)
+    except LssMotionError as error:
+        return SpliceResult(number=number, problem=str(error))
+    job = replace(job, shows=edit.program, trajectory=show.trajectory)
+    return SpliceResult(number=number, plan=request.plan, edit=pickle.dumps(edit), job=packed(job))
+
+
+def _arrived(typed: TypedPipe[AnyRequest]) -> list[AnyRequest]:
     """Wait for requests, and return all that have arrived; none: the pipe has ended."""
-    requests: list[Request | EditTrial] = []
+    requests: list[AnyRequest] = []
     while wait_for([typed.fileno()], 0.0 if requests else math.inf):
         requests += typed.receive()
         if typed.has_ended:
@@ -444,9 +496,10 @@ def _arrived(typed: TypedPipe[Request | EditTrial]) -> list[Request | EditTrial]
     return requests
 
 
-def _newest(arrived: list[Request | EditTrial]) -> Iterator[Request | EditTrial]:
-    """Yield the newest request for a plan, and a trial if that is the newest of all."""
+def _newest(arrived: list[AnyRequest]) -> Iterator[AnyRequest]:
+    """Yield the newest request for a plan, splices, and a trial if that is the newest of all."""
     plans = [request for request in arrived if isinstance(request, Request)]
     yield from plans[-1:]
+    yield from (request for request in arrived if isinstance(request, SpliceRequest))
     if isinstance(arrived[-1], EditTrial):
         yield arrived[-1]

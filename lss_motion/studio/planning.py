@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from lss_motion.studio.planner import EditTrial, PlannerReply, Request, TrialResult
+from lss_motion.studio.planner import (
+    EditTrial,
+    PlannerReply,
+    Request,
+    SpliceRequest,
+    SpliceResult,
+    TrialResult,
+)
 from lss_motion.system.process import ChildProcess
 
 if TYPE_CHECKING:
@@ -41,9 +48,12 @@ class Planner:
         self,
         on_reply: Callable[[PlannerReply], None],
         on_trial: Callable[[TrialResult], None] = lambda _: None,
+        on_splice: Callable[[SpliceResult], None] = lambda _: None,
     ) -> None:
-        self._on_reply, self._on_trial = on_reply, on_trial
-        self._process: ChildProcess[PlannerReply | TrialResult] | None = None
+        self._on_reply, self._on_trial, self._on_splice = on_reply, on_trial, on_splice
+        self._splices: set[int] = set()
+        """The numbers of the splices that are not answered yet."""
+        self._process: ChildProcess[PlannerReply | TrialResult | SpliceResult] | None = None
         self._trial: EditTrial | None = None
         """The newest, until it is answered."""
         self._trying: int | None = None
@@ -80,6 +90,20 @@ class Planner:
         self._drop_trial()
         self._trial = trial
         self._send_trial()
+
+    def splice(self, request: SpliceRequest) -> None:
+        """Find how a show that plays goes on as the one that was planned last."""
+        self._splices.add(request.number)
+        if self._process is None:
+            self._lose_splices()
+            return
+        self._process.send_object(request)
+        self._flush()
+
+    def _lose_splices(self) -> None:
+        lost, self._splices = self._splices, set()
+        for number in lost:
+            self._on_splice(SpliceResult(number=number, problem="the planner has ended; try again"))
 
     def close(self) -> None:
         """End the planner process."""
@@ -128,6 +152,10 @@ class Planner:
             self._after_death()
             return
         for reply in arrived:
+            if isinstance(reply, SpliceResult):
+                self._splices.discard(reply.number)
+                self._on_splice(reply)
+                continue
             if isinstance(reply, TrialResult):
                 self._trying = None
                 if self._trial is not None and self._trial.number == reply.number:
@@ -176,6 +204,7 @@ class Planner:
         process, self._process = self._process, None
         self._trying = None
         self._drop_trial()
+        self._lose_splices()
         if process is not None:
             asyncio.get_running_loop().remove_reader(process.fileno())
             asyncio.get_running_loop().remove_writer(process.fileno())

@@ -88,7 +88,8 @@ class Studio:
         self.stops = StopProcess(settings, [one.stop_socket for one in sockets])
         self.desk = Desk(self.hub, self.stops, options.desk)
         self.hub.desk = self.desk
-        self.planner = Planner(self._planned, self.desk.note_trial)
+        self.planner = Planner(self._planned, self.desk.note_trial, self.desk.note_splice)
+        self.desk.splice = self.planner.splice
         self.document = self.desk.document = Document(
             Request(
                 number=0,

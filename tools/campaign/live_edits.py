@@ -23,13 +23,13 @@ from campaign.allowances import (
     WINDOW,
 )
 from campaign.anchors import any_show
-from lss_motion.errors import InputError, LssMotionError
+from lss_motion.errors import InputError, LssMotionError, PlanningError
 from lss_motion.planning.program.compile import compile_program
 from lss_motion.planning.program.live_edit import PlannedShow, ProgramEdit, live_edit
 from lss_motion.planning.trajectory.planner import plan
 from lss_motion.playing.player.events import Phase
 from lss_motion.playing.run import Observer, perform
-from lss_motion.show.model import Cue, Keyframe, Sequence
+from lss_motion.show.model import Cue, Interpolation, Keyframe, Sequence
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -60,7 +60,12 @@ def run_of(seed: int) -> EditedRun:
     random = Random(seed)
     show, robot = any_show(seed)
     show = replace(_relaxed(show), events=_events(random, show))
-    ends_s = plan(show, robot).duration_s
+    try:
+        ends_s = plan(show, robot).duration_s
+    except PlanningError:  # A spline swings out of a range.
+        frames = [replace(frame, ease=Interpolation.SMOOTH) for frame in show.keyframes]
+        show = replace(show, keyframes=tuple(frames))
+        ends_s = plan(show, robot).duration_s
     edits, edited, at_s = [], show, 0.0
     for _ in range(random.randint(1, 4)):
         at_s += random.uniform(0.0, 0.4) * ends_s

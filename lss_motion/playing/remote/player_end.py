@@ -8,6 +8,7 @@ at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
 from __future__ import annotations
 
 import math
+import pickle
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from msgspec import Struct
@@ -31,6 +32,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from lss_motion.planning.program.live_edit import ProgramEdit
     from lss_motion.playing.joint_view import Angles
     from lss_motion.playing.player.following import Following
     from lss_motion.playing.player.joint_state import JointState
@@ -136,6 +138,7 @@ class Steering:
                 self.operator.refuse(operation, str(refused))
             else:
                 self.operator.accept(operation)
+        self._take_edits(player, now_ns)
         self._apply_rate(player, now_ns)
         self._watch(player, now_ns)
         if self._led is not None and not self._has_stopped:
@@ -146,6 +149,26 @@ class Steering:
             self._following.turn(player, now_ns)
             for text in self._following.take_texts():
                 self.operator.send(m.WarningRaised(text=text))
+
+    def _take_edits(self, player: Player, now_ns: int) -> None:
+        """Go on with edited programs of the server that started this, if they come in time."""
+        if player.repertoire.only is None:
+            return  # A stage goes on with newer files in its own way.
+        for content in self.operator.take_objects():
+            operation, packed = pickle.loads(content)  # noqa: S301  (from our own program)
+            edit: ProgramEdit = pickle.loads(packed)  # noqa: S301
+            try:
+                self._edit(edit, player, now_ns)
+            except InputError as refused:
+                self.operator.refuse(operation, str(refused))
+            else:
+                self._plan = edit.plan
+                self.operator.accept(operation)
+
+    def _edit(self, edit: ProgramEdit, player: Player, now_ns: int) -> None:
+        if self._has_stopped or self._led is not None or self._following is not None:
+            raise InputError("the show is stopped, led, or follows a leader")
+        player.edit(edit, now_ns)
 
     def _obey_signals(self, player: Player, now_ns: int, count: int) -> None:
         """Brake at the first signal, end at the second one."""

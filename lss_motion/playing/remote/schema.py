@@ -62,6 +62,15 @@ class Rate(Operation, frozen=True, kw_only=True, tag="rate"):
     ratio: Annotated[float, Meta(ge=RATE_LEAST, le=1.0)]
 
 
+class TakeEdit(Operation, frozen=True, kw_only=True, tag="splice"):
+    """Go on with the edited show `plan` while the show plays; refused with the reason if it cannot.
+
+    From an instant on at which both plans meet, the moves are those of the edited show.
+    """
+
+    plan: Annotated[str, Meta(max_length=LABEL_MAX_CHARS)]
+
+
 class Seek(Operation, frozen=True, kw_only=True, tag="seek"):
     """Brake, move to where the show is at `to` (a show time or a label), and go on from there.
 
@@ -245,6 +254,7 @@ AnyOperation = (
     | Resume
     | Rate
     | Seek
+    | TakeEdit
     | Follow
     | Stop
     | Estop

@@ -31,6 +31,9 @@ export class Actions {
     this.store = store;
     this.link = link;
     this.editor = new Editor(store, link);
+    store.select(({ document: own, player, live, lease }) => (
+      live && lease.is_mine && ["playing", "paused"].includes(player.state) && own?.is_current && own.plan !== player.plan ? own.plan : null))
+      .subscribe((plan) => { if (plan !== null) this.splice(); });
     this.contents = new ContentsEditor(store, link);
   }
 
@@ -76,6 +79,7 @@ export class Actions {
       axis_time: () => void this.board?.lockAxis("time"),
       axis_angle: () => void this.board?.lockAxis("angle"),
       ripple: () => this.set({ ripple: !state.ripple }),
+      live: () => this.set({ live: !state.live }),
       open_text: () => this.#openText(),
       previous_key: () => this.toKey(-1),
       next_key: () => this.toKey(1),
@@ -158,6 +162,17 @@ export class Actions {
     const fields = own?.plan ? { plan: own.plan } : {};
     if (fromCursor && view !== null && cursor_s > 0 && cursor_s < view.view_s) fields["from_s"] = showTimeOf(view, cursor_s);
     this.withLease(() => this.link.ask("play", fields));
+  }
+
+  /** Let the show that plays go on as the edited one; why it cannot is said. */
+  splice() {
+    const { document: own } = this.store.state.value;
+    if (own?.plan == null) return;
+    const { plan } = own;
+    this.withLease(() => void this.link.send("splice", { plan }).then(
+      () => this.hint("The show goes on with the edit."),
+      (error) => this.store.dispatch({ type: "refused", text: `The edit is kept for the next START: ${error.message}` }),
+    ));
   }
 
   /** GO, where the show waits for it. A second one at once is a slip of the finger. */

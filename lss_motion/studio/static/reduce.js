@@ -60,6 +60,7 @@ export function firstState() {
     drafts: 0,
     is_dragging: false,
     ripple: false,
+    live: false,
     posed: null,
     menu: null,
     row: 0,

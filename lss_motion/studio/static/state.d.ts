@@ -154,6 +154,8 @@ export type State = {
   drafts: number;
   is_dragging: boolean;
   ripple: boolean;
+  /** Edits that are checked are taken into the show that plays. */
+  live: boolean;
   /** Angles that are tried at the cursor, while a slider is dragged. */
   posed: Record<string, number> | null;
   menu: null | { x_px: number; y_px: number; at_s: number; row: import("./timeline/layout.js").Row | null; deg: number | undefined };

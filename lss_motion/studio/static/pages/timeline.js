@@ -64,6 +64,7 @@ function Tools({ state, actions }) {
     <button type="button" onClick=${() => actions.run("fit")}>Fit</button>
     <button type="button" aria-pressed=${state.follow} onClick=${() => actions.run("follow")}>Follow</button>
     <button type="button" aria-pressed=${state.ripple} title="Later keys move, too" onClick=${() => actions.run("ripple")}>Ripple</button>
+    <button type="button" aria-pressed=${state.live} title="What is checked is taken into the show that plays, where it can be" onClick=${() => actions.run("live")}>Live</button>
     <${Edits} state=${state} actions=${actions} />
     <span class="cursor-time">cursor <output>${timeText(state.cursor_s, 0.001)}</output></span>
     <${Legend} state=${state} />

@@ -97,7 +97,8 @@ export function Banners({ state, actions }) {
     ${own !== null && own.editing.recovered.length > 0
       ? html`<p class="banner banner-note" role="status">Edits that were not saved were found again: ${own.editing.recovered.join(", ")}. Save keeps them, Undo gives them up.</p>` : null}
     ${actions.isRunning && player.plan !== null && own?.plan != null && own.plan !== player.plan
-      ? html`<p class="banner banner-note" role="status">The file has changed since START: what plays is as it was; times, cues and curves shown are the new ones. The next START plays them.</p>` : null}
+      ? html`<p class="banner banner-note" role="status">The file has changed since START: what plays is as it was; times, cues and curves shown are the new ones. The next START plays them.
+          <button type="button" disabled=${!own.is_current} onClick=${() => actions.splice()}>Play the edit now</button></p>` : null}
     ${welcome?.is_network_readable ? html`<p class="banner banner-note">This link has no TLS: others on the network can read along.</p>` : null}
   </div>`;
 }
