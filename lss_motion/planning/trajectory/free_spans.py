@@ -2,7 +2,7 @@
 
 They are those in which it has to be slow somewhere. Inside of them it may run ahead of the author's
 curve, and is only not early at their keys. Where an anchor cannot be met so, all spans before it
-are free, too (`URGENT_S`).
+(`URGENT_S`) and the one behind it are free, too.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def free_spans(
     """Return the free spans around the slow parts of windows.
 
     `windows` have the slow parts at rates up to 1, of a path with these ends. Before the anchors
-    `urgent_s` all is free, and with `is_hasty` around the seams.
+    `urgent_s` all is free, up to the key behind them, and with `is_hasty` around the seams.
     """
     cuts_s = distinct(np.concatenate([stops_s, dues.seams_s, ends_s]))
     # A hold keeps its length alone.
@@ -69,7 +69,9 @@ def free_spans(
     ]
     spans_s = [(part.from_s, part.to_s) for part in parts]
     for anchor_s in urgent_s:
-        inside_s = keys_s[(keys_s > anchor_s - URGENT_S) & (keys_s <= anchor_s)]
+        # One that is passed fast leads ahead of the curve, up to the key behind it.
+        end = int(np.searchsorted(keys_s, anchor_s, side="right")) + (anchor_s not in cuts_s)
+        inside_s = keys_s[:end][keys_s[:end] > anchor_s - URGENT_S]
         spans_s += itertools.pairwise(inside_s.tolist())
     for seam_s in dues.seams_s if is_hasty else ():
         at = int(np.searchsorted(keys_s, seam_s))

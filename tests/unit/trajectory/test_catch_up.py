@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from lss_motion.planning.trajectory import catch_up
 from lss_motion.planning.trajectory.tracks import planned_track
-from lss_motion.show.model import Keyframe, Sequence
+from lss_motion.show.model import Interpolation, Keyframe, Sequence
 from tests.property.test_lateness import any_show
 
 SHOWS = 40
@@ -56,3 +56,37 @@ def test_slow_parts_that_follow_closely_leave_no_lateness(gap_s) -> None:
     assert late_s.min() > -1e-6
     assert late_s[1:-1].max() > 0.02
     assert late_s[-1] < 1e-5
+
+
+def test_an_anchor_is_met_that_is_passed_faster_than_authored() -> None:
+    """The motion is ahead of the curve behind it, and on time at the next key again."""
+    _, robot = any_show(2)
+    joint = next(iter(robot.joints.values()))
+    joint = replace(
+        joint,
+        speed_max_deg_s=101.0,
+        accel_max_deg_s2=330.0,
+        position_min_deg=-90.0,
+        position_max_deg=90.0,
+    )
+    robot = replace(robot, joints={joint.name: joint})
+    keys = (
+        (0.0, 0.0),
+        (1.497, -1.9),
+        (2.311, -8.9),
+        (2.8655, 44.7),
+        (4.348, -19.6),
+        (5.836, -16.2),
+    )
+    frames = tuple(
+        Keyframe(
+            at_s=at_s,
+            deg={joint.name: deg},
+            ease=Interpolation.SPLINE if at_s else Interpolation.SMOOTH,
+            is_anchor=deg in (-8.9, 44.7),
+        )
+        for at_s, deg in keys
+    )
+    trajectory = planned_track(Sequence(name="swing", keyframes=frames), robot)
+    late_s = np.array([mark.planned_s - mark.authored_s for mark in trajectory.marks])
+    assert np.abs(late_s).max() < 1e-3
