@@ -389,7 +389,7 @@ def test_a_push_of_a_joint_that_has_rested_for_long_is_noticed_within_a_second(a
         def act(self, driven, now_ns):
             super().act(driven, now_ns)
             states = {} if driven.show is None else driven.show.joint_states
-            if not seen_s and any(one.standing.is_pushed for one in states.values()):
+            if not seen_s and any(one.push.is_pushed for one in states.values()):
                 seen_s.append(now_ns / S)
 
     watch = Look([(12.0, stop)])

@@ -32,8 +32,9 @@ from lss_motion.playing.player.servo_model import (
     Setpoints,
     make_setpoints,
     step_gain_deg,
+    with_room,
 )
-from lss_motion.playing.player.standing import StandingCorrector
+from lss_motion.playing.player.standing import PushDetector, StandingCorrector
 from lss_motion.protocol.constants import status_from
 from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.profile import Profile, profile_lead_s
@@ -69,6 +70,7 @@ LONGEST_NS = ns_from_s(s_from_ms(DURATION_MAX_MS))
 RECENT_S: Final = (0.0, 0.08, 0.16, 0.25)
 """A horn that lags is still on its way so long after its profile. Chosen: three times the largest
 lag that is corrected, and a ramp between the samples."""
+SPARE_RATIO: Final = 0.9  # A joint faster than this share of its limit has no speed to spare.
 STILL_S: Final = 0.25
 STILL_DEG: Final = 0.05
 """A joint rests when its profile has moved by less than this for so long: half a unit of an LSS."""
@@ -144,11 +146,13 @@ class JointState:
     """Detector of moves that the servo has lost; None: without feedback."""
     early_s: float = 0.0
     """By how much moves leave earlier than the program says, to make up for the lag. It does not
-    change while a joint in EM0 moves. The step instants of the filter are unknown: a send instant
-    that creeps past one skips a target or uses one twice, which exceeds the acceleration limit."""
+    change while a joint is at its speed limit, or while one in EM0 moves: the step instants of the
+    filter are unknown, and a send instant that creeps past one skips a target or uses one twice,
+    which exceeds the acceleration limit."""
     settings: ServoSettings = field(init=False)
     """Whether the servo still has them; the scheduler that polls it sets and keeps them."""
     standing: StandingCorrector = field(default_factory=StandingCorrector)
+    push: PushDetector = field(default_factory=PushDetector)
     _is_correcting: bool = False
     _is_approach: bool = False
     swing: Swing = field(default_factory=Swing)
@@ -541,25 +545,46 @@ class JointState:
         lagged_deg, speed_deg_s = self.profile.at(course_s)
         # The largest speed of the profile of late, 0 if it rests.
         recent_deg_s = max([abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S])
-        strange_deg = horn.strange_deg(measured_deg, lagged_deg, self.swing.way)
-        if not (self.standing.is_pushed or self._is_approach):
-            error_deg = self.disturbance.error_deg + self.disturbance.offset_deg
-            horn.judge_load(error_deg, horn.correction_deg(lagged_deg, self.swing.way), elapsed_s)
+        noise_deg = math.sqrt(horn.noise_deg2)
+        if not self._is_approach:
+            near = [self.profile.at(course_s + by_s)[0] for by_s in (-horn.late_s, horn.late_s)]
+            free_deg = horn.free_deg(lagged_deg, *near) if recent_deg_s else (0.0, 0.0)
+            load_deg = horn.load_deg(lagged_deg, self.swing.way)
+            off_deg = measured_deg + load_deg - lagged_deg
+            if self.push.take(off_deg, load_deg, read_s, noise_deg, free_deg):
+                horn.doubt()
+            is_pushed = self.push.is_pushed
+            if not is_pushed and (self.disturbance.offset_deg or self.early_s):
+                without_deg = plain_deg - measured_deg
+                effect_deg = without_deg - self.disturbance.error_deg
+                horn.judge_effect(without_deg, effect_deg, elapsed_s)
             if before_deg is not None:  # It may still be on its way, whatever its profile does.
-                moved_deg = self.disturbance.moved_deg - 3.0 * math.sqrt(horn.noise_deg2)
+                moved_deg = self.disturbance.moved_deg - 3.0 * noise_deg
                 recent_deg_s = max(recent_deg_s, moved_deg / elapsed_s)
             course = plain_deg, lagged_deg, speed_deg_s, recent_deg_s
-            horn.take(measured_deg, course, self.swing.way, elapsed_s)
+            horn.take(measured_deg, course, self.swing.way, elapsed_s, is_pushed=is_pushed)
         self.disturbance.note_estimate(lagged_deg, self.swing.way)
-        may_lead = self.setpoints is None or abs(plain_deg_s) < REST_DEG_S
-        if may_lead and not self.joint.is_shared:
+        if self._may_shift(plain_deg_s, recent_deg_s):
             self.early_s = horn.early_s
         if self._is_settled(read_s) and before_deg is not None:
             horn.note_scatter(measured_deg - before_deg, elapsed_s)
-            noise_deg = math.sqrt(horn.noise_deg2)
-            self.standing.take(self.disturbance.error_deg, read_s, noise_deg, strange_deg)
+            self.standing.take(self.disturbance.error_deg, read_s, math.sqrt(horn.noise_deg2))
         if self.setpoints is not None:
             self._correct(lagged_deg, self.swing.way, elapsed_s)
+
+    def _may_shift(self, speed_deg_s: float, recent_deg_s: float) -> bool:
+        """Return whether moves may leave earlier or later from now on.
+
+        In motion not by less than half a control tick: that only shifts their phase. Nowhere where
+        the joint has no speed to spare.
+        """
+        is_slow = abs(speed_deg_s) < REST_DEG_S
+        if self.setpoints is None:
+            change_s = abs(self.disturbance.horn.early_s - self.early_s)
+            is_large = change_s >= 0.5 * self.joint.response.loop_s
+            has_speed = recent_deg_s < SPARE_RATIO * self.limits.speed_max_deg_s
+            is_slow = has_speed and (is_slow or is_large)
+        return is_slow and not self.joint.is_shared
 
     def may_stand(self, now_s: float) -> bool:
         """Return whether the last move is so long ago that the servo may be at rest."""
@@ -600,7 +625,7 @@ class JointState:
 
     def standing_offset_deg(self, now_ns: int) -> float | None:
         """Return the correction that a joint at rest needs in place of its own; None: none."""
-        if self.joint.is_shared or not self._is_settled(s_from_ns(now_ns)):
+        if self.joint.is_shared or self.push.is_pushed or not self._is_settled(s_from_ns(now_ns)):
             return None
         horn, offset_deg = self.disturbance.horn, self.disturbance.offset_deg
         noise_deg, is_modelled = math.sqrt(horn.noise_deg2), horn.model_ratio > 0.5
@@ -630,27 +655,6 @@ class JointState:
                 self.voltage_min_v = min(value, self.voltage_min_v or value)
             case "QC":
                 self.current_max_a = max(value, self.current_max_a or 0.0)
-
-
-def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
-    """Return `robot` with ranges that include where its servos stand (servo angles).
-
-    A joint without T moves step by step. If it stands outside of its range, it must move back into
-    it at the same slow speed as everything else, not jump. A timed joint goes back into its range
-    with its first move, unless the way is too long for one T.
-    """
-    joints = dict(robot.joints)
-    for name, servo_deg in standing_deg.items():
-        joint = joints[name]
-        here_deg = joint.joint_deg(servo_deg)
-        out_deg = max(joint.position_min_deg - here_deg, here_deg - joint.position_max_deg)
-        if joint.drive != "timed" or out_deg > s_from_ns(LONGEST_NS) * robot.approach_deg_s(joint):
-            joints[name] = replace(
-                joint,
-                position_min_deg=min(joint.position_min_deg, here_deg),
-                position_max_deg=max(joint.position_max_deg, here_deg),
-            )
-    return replace(robot, joints=joints)
 
 
 def make_joint_states(

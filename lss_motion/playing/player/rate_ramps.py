@@ -19,6 +19,7 @@ from lss_motion.planning.program.streamed import FilterProfile
 from lss_motion.playing.player.joint_state import LONGEST_NS, REST_DEG_S, JointState
 from lss_motion.playing.player.servo_model import closing_deg
 from lss_motion.protocol.framing import encode_move
+from lss_motion.robot.profile import Profile
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
@@ -155,7 +156,9 @@ def spot_move(
     if is_stepped:
         return SpotMove(aim_deg, 0.0)
     if spot.is_coarse:
-        return SpotMove(aim_deg, s_from_ns(period_ns))
+        if _is_bound_for(state, aim_deg):
+            return None
+        return SpotMove(aim_deg, _coarse_s(state, aim_deg, planned_deg(state, here_ns), period_ns))
     if ends_ns is not None and ahead_ns >= ends_ns:
         travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
         return SpotMove(aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
@@ -212,6 +215,22 @@ def _coarse_ns(
             return ahead_ns - period_ns
         way_deg, before_deg = step_deg or way_deg, next_deg
     return max(COARSE_NS, period_ns)
+
+
+def _is_bound_for(state: JointState, target_deg: float) -> bool:
+    """Return whether the last move of a timed joint leads to a target of its plan."""
+    profile, aim_deg = state.profile, target_deg + state.disturbance.offset_deg
+    if not isinstance(profile, Profile):
+        return False
+    return abs(profile.target_deg - aim_deg) < state.joint.unit_deg
+
+
+def _coarse_s(state: JointState, aim_deg: float, here_deg: float, period_ns: int) -> float:
+    """Return the T of a coarse spot move: the shorter, the further its horn is behind its plan."""
+    last_deg = state.disturbance.last_deg
+    way_deg = 0.0 if last_deg is None else abs(aim_deg - last_deg)
+    ratio = min(abs(aim_deg - here_deg) / way_deg, 1.0) if way_deg else 1.0
+    return max(ratio * s_from_ns(period_ns), way_deg / state.limits.speed_max_deg_s)
 
 
 def _closing_deg(state: JointState, off_deg: float, period_ns: int) -> float:

@@ -27,15 +27,18 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from msgspec.structs import replace
+
+from lss_motion.planning.program.reference_grid import DURATION_MAX_MS
 from lss_motion.planning.program.streamed import SETTLED_DEG
 from lss_motion.protocol.constants import Status
-from lss_motion.units import NS_PER_S, ns_from_s
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ms
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from lss_motion.planning.program.reference_grid import ServoLimits
-    from lss_motion.robot.model import Joint
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.profile import Profile
 
 STEP_OFFSETS: Final = 32
@@ -170,6 +173,29 @@ def step_gain_deg(limits: ServoLimits) -> float:
     return limits.ramp_deg_s2 * limits.response.filter_s * limits.response.filter_s
 
 
+def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
+    """Return `robot` with ranges that include where its servos stand (servo angles).
+
+    A joint without T moves step by step. If it stands outside of its range, it must move back into
+    it at the same slow speed as everything else, not jump. A timed joint goes back into its range
+    with its first move, unless the way is too long for one T.
+    """
+    joints = dict(robot.joints)
+    for name, servo_deg in standing_deg.items():
+        joint = joints[name]
+        here_deg = joint.joint_deg(servo_deg)
+        out_deg = max(joint.position_min_deg - here_deg, here_deg - joint.position_max_deg)
+        if joint.drive != "timed" or out_deg > s_from_ms(DURATION_MAX_MS) * robot.approach_deg_s(
+            joint
+        ):
+            joints[name] = replace(
+                joint,
+                position_min_deg=min(joint.position_min_deg, here_deg),
+                position_max_deg=max(joint.position_max_deg, here_deg),
+            )
+    return replace(robot, joints=joints)
+
+
 PARTED_DEG: Final = 1.0
 """The horn must be nearer to one profile than to the other by this: ten times the noise of a
 reading, and the effect of a lag that is wrong by 10 ms at 100 deg/s. Chosen."""
@@ -193,9 +219,10 @@ REPORTED_LOOPS: Final = 1.5
 """Number of control ticks after a move has arrived until a servo reports its target. Assumed, with
 half a tick to spare: no document says when it does (FACTS.md C2)."""
 DEAD_MAX_S: Final = 0.12
-"""A servo that reports the target before a move may take it up late. Until it has reported
-`PROMPT_LEAST` targets at once, it is asked again after this time before the move counts as lost.
-Chosen: longer than a lag that can be corrected."""
+RECHECKED_LOOPS: Final = 3.0
+"""A servo that reports the target before a move may take it up late. So it is asked again before
+the move counts as lost: after `DEAD_MAX_S`, longer than a lag that can be corrected, or after so
+many ticks if it has reported `PROMPT_LEAST` targets at once. It may be a tick later than usual."""
 PROMPT_LEAST: Final = 3
 SAME_UNITS: Final = 1.5
 """Targets that differ by no more wire units than this are the same, since a servo that counts in
@@ -211,8 +238,9 @@ class LastMove:
     target_deg: float
     duration_s: float | None
     queries_left: int
-    is_rechecked: bool = False
-    """Whether the servo reported the target before it, and is asked again later."""
+    recheck_s: float = 0.0
+    """Time after its arrival at which the servo, which reported the target before it, is asked
+    again; 0: it has not."""
     unknown_deg: float | None = None
     """A target that was never sent, but that the servo reported once."""
 
@@ -313,16 +341,15 @@ class LostMoveDetector:
         if last is None or at_s < self._reported_s(last):
             return None
         if not self._differs(target_deg, last.target_deg):
-            if last.is_rechecked:
-                self.report_s = DEAD_MAX_S
-            else:
-                self.prompt += 1
+            self.report_s = max(self.report_s, last.recheck_s)
+            self.prompt += not last.recheck_s
             self.mismatches, last.queries_left = 0, 0
             self.alternatives = [o for o in self.alternatives if not self._parts(o)]
             return None
         is_before = not self._differs(target_deg, last.before.target_deg)
-        if is_before and self.prompt < PROMPT_LEAST and not last.is_rechecked:
-            last.is_rechecked = True  # It may only be slow to take a move up.
+        if is_before and not last.recheck_s:  # It may only be slow to take a move up.
+            is_prompt = self.prompt >= PROMPT_LEAST
+            last.recheck_s = RECHECKED_LOOPS * self.loop_s if is_prompt else DEAD_MAX_S
             last.queries_left = max(last.queries_left, 1)
             return None
         self.mismatches += 1
@@ -337,9 +364,8 @@ class LostMoveDetector:
         return course
 
     def _reported_s(self, last: LastMove) -> float:
-        after_s, least_s = REPORTED_LOOPS * self.loop_s, self.report_s
-        least_s = DEAD_MAX_S if last.is_rechecked else least_s
-        return last.arrival_s + (after_s if after_s > least_s else least_s)
+        after_s = REPORTED_LOOPS * self.loop_s
+        return last.arrival_s + max(after_s, self.report_s, last.recheck_s)
 
     def _parts(self, other: Alternative) -> bool:
         """Return whether `other` has another target than the last one that was sent."""

@@ -30,12 +30,11 @@ from lss_motion.playing.player.health import is_turned
 from lss_motion.playing.player.joint_state import (
     LONGEST_NS,
     make_joint_states,
-    with_room,
 )
 from lss_motion.playing.player.preflight import Preflight
 from lss_motion.playing.player.query_choice import BY_NEED
 from lss_motion.playing.player.query_tracker import AWAY_NS, QueryTracker, SerialLine
-from lss_motion.playing.player.servo_model import Probe
+from lss_motion.playing.player.servo_model import Probe, with_room
 from lss_motion.playing.player.streamer import Streamer
 from lss_motion.playing.player.unasked import UnaskedWatches
 from lss_motion.protocol.framing import Command, encode

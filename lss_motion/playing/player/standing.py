@@ -1,4 +1,4 @@
-"""Corrections of a joint at rest, whatever the cause of its error is."""
+"""Corrections of a joint at rest, whatever the cause of its error is, and pushes of a hand."""
 
 from __future__ import annotations
 
@@ -36,28 +36,76 @@ ATTEMPTS_IN_ALL: Final = 8
 MOVING_DEG: Final = 0.2
 """A horn moves if its first and last readings differ by more than this."""
 PUSH_DEG: Final = 0.6
-"""A resting horn that has moved by more than this without a command is pushed, or let go."""
 PUSH_SIGMAS: Final = 6.0
-STEADY_S: Final = 0.3
-"""A horn that moves earlier than this after it came to rest is still on its way."""
+"""A resting horn that is suddenly off by more than these is pushed, or let go."""
+SUDDEN_S: Final = 0.3
+"""Time over which it is averaged where a horn is usually. Chosen: several readings."""
 PUSH_S: Final = 1.5
 """What pushes for longer than this is a load: it is corrected for."""
 
 
 @dataclass(slots=True)
-class StandingCorrector:
-    """Corrections of one joint while it rests: one at a time, kept only if it helped.
+class PushDetector:
+    """Whether a hand pushes the horn of one joint, at rest or in motion.
 
-    A horn that moves without a command is pushed by a hand. Nothing is corrected until it is let
-    go, or until it has stood elsewhere for `PUSH_S`; in the first case all is forgotten.
+    A load changes as the joint turns, and a lag holds a horn on its course. A horn that leaves
+    its course suddenly is pushed, until it is back or has been off for `PUSH_S`.
     """
 
     is_pushed: bool = False
+    _usual_deg: float | None = None
+    """Distance of the horn from where its load holds it, unless it is pushed."""
+    _since_s: float = 0.0
+    """When the push began; before, when the last reading was taken."""
+    _most_deg: float = 0.0
+    """The largest change by this push."""
+    _is_back: bool = False
+    """Whether the horn has come back half of that way: it was let go, and may be on its way."""
+
+    def take(
+        self,
+        off_deg: float,
+        load_deg: float,
+        read_s: float,
+        noise_deg: float,
+        free_deg: tuple[float, float],
+    ) -> bool:
+        """Use how far a horn is from where its load holds it; return whether a push is a load now.
+
+        A horn that comes nearer to its profile, which is above it by `load_deg`, is not pushed.
+        `noise_deg` is how readings at rest scatter; `free_deg` are the least and largest change of
+        the distance of a horn in motion, by timing and play.
+        """
+        usual_deg = off_deg if self._usual_deg is None else self._usual_deg
+        change_deg, far_deg = off_deg - usual_deg, sudden_deg(noise_deg)
+        if self.is_pushed:
+            self._most_deg = max(self._most_deg, abs(change_deg))
+            is_load = read_s - self._since_s >= PUSH_S
+            was_back, self._is_back = self._is_back, abs(change_deg) <= 0.5 * self._most_deg
+            self.is_pushed = not (is_load or (was_back and self._is_back))
+            self._usual_deg = off_deg if is_load else usual_deg
+            return is_load
+        is_free = free_deg[0] - far_deg <= change_deg <= free_deg[1] + far_deg
+        is_nearer = abs(off_deg - load_deg) <= abs(usual_deg - load_deg)
+        self.is_pushed = not (is_free or is_nearer)
+        self._most_deg, self._is_back = abs(change_deg), False
+        share = 0.0 if self.is_pushed else -math.expm1((self._since_s - read_s) / SUDDEN_S)
+        self._usual_deg, self._since_s = usual_deg + share * change_deg, read_s
+        return False
+
+
+def sudden_deg(noise_deg: float) -> float:
+    """Return from which change on a horn at rest is pushed."""
+    return max(PUSH_DEG, PUSH_SIGMAS * noise_deg)
+
+
+@dataclass(slots=True)
+class StandingCorrector:
+    """Corrections of one joint while it rests: one at a time, kept only if it helped."""
+
     _errors_deg: list[float] = field(default_factory=list)
     _since_s: float = 0.0
     """Instant of the first of these readings."""
-    _usual_deg: float = 0.0
-    """Error before the push."""
     _tried_deg: float | None = None
     """Error before the correction that is on trial."""
     _before_deg: float = 0.0
@@ -74,7 +122,7 @@ class StandingCorrector:
         if self._errors_deg:
             self._errors_deg.clear()
         self._tried_deg = None
-        self.is_pushed, self._misses, self._attempts = False, 0, 0
+        self._misses, self._attempts = 0, 0
 
     @property
     def is_undecided(self) -> bool:
@@ -87,24 +135,10 @@ class StandingCorrector:
         """Drop the readings before a correction took effect."""
         self._errors_deg.clear()
 
-    def take(
-        self, error_deg: float, read_s: float, noise_deg: float, strange_deg: float = 0.0
-    ) -> None:
-        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it.
-
-        `strange_deg` is the part of that which is certainly not the load as it was known before.
-        """
+    def take(self, error_deg: float, read_s: float, noise_deg: float) -> None:
+        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it."""
         errors = self._errors_deg
-        usual_deg = sum(errors) / len(errors) if errors else error_deg - strange_deg
-        far_deg = max(PUSH_DEG, PUSH_SIGMAS * noise_deg)
-        is_steady = len(errors) >= READINGS_LEAST and read_s - self._since_s > STEADY_S
-        near_deg = far_deg if is_steady or self.is_pushed else 0.5 * far_deg
-        if abs(error_deg - usual_deg) > near_deg:
-            if not self.is_pushed and (is_steady or abs(strange_deg) > far_deg):
-                self.is_pushed, self._usual_deg = True, usual_deg
-            errors.clear()
-        elif self.is_pushed and abs(error_deg - self._usual_deg) < 0.5 * far_deg:
-            self.is_pushed = False
+        if errors and abs(error_deg - sum(errors) / len(errors)) > 0.5 * sudden_deg(noise_deg):
             errors.clear()
         if not errors:
             self._since_s = read_s
@@ -119,7 +153,7 @@ class StandingCorrector:
         Unless the servo `is_modelled` well, the horn may still be on its way.
         """
         count = len(self._errors_deg)
-        if count < READINGS_LEAST or (self.is_pushed and now_s - self._since_s < PUSH_S):
+        if count < READINGS_LEAST:
             return None
         still_deg = max(MOVING_DEG, 4.0 * noise_deg) if is_modelled else MOVING_DEG
         if abs(self._errors_deg[-1] - self._errors_deg[0]) > still_deg:

@@ -18,6 +18,7 @@ from lss_motion.playing.player.estimators import (
     JUMP_MARGIN_DEG,
     LAG_MAX_S,
     OFFSET_MAX_DEG,
+    UNSEEN_DEG,
     DisturbanceEstimator,
     HornEstimator,
     Swing,
@@ -28,6 +29,7 @@ from lss_motion.playing.player.standing import (
     PUSH_S,
     READINGS_LEAST,
     STANDING_DEG,
+    PushDetector,
     StandingCorrector,
 )
 
@@ -218,9 +220,10 @@ def resting(horn, load_deg, *, seconds, angle_deg=0.0, noise_deg=0.1, random=Non
     return horn
 
 
-def test_a_load_at_rest_is_learnt_and_a_new_one_within_two_seconds():
+def test_a_load_at_rest_is_learnt_and_a_new_one_within_two_seconds_once_the_old_is_doubted():
     horn = resting(HornEstimator(), 1.5, seconds=1.0)
     assert horn.correction_deg(0.0, 0.0) == pytest.approx(1.5, abs=0.1)
+    horn.doubt()
     assert resting(horn, 4.0, seconds=2.0).load_deg(0.0, 0.0) == pytest.approx(4.0, abs=0.3)
 
 
@@ -251,14 +254,54 @@ def test_the_play_of_the_gears_shows_on_either_way():
     assert horn.load_deg(0.0, -1.0) == pytest.approx(-0.75, abs=0.3)
 
 
-def test_a_correction_that_does_not_help_is_dropped():
+@pytest.mark.parametrize(
+    ("without_deg", "effect_deg", "worth"),
+    [
+        pytest.param(2.0, 2.0, 1.0, id="it takes all of the error away"),
+        pytest.param(1.0, 2.0, 0.0, id="as much is left, on the other side"),
+        pytest.param(1.6, 2.0, 0.6, id="in between"),
+        pytest.param(1.2, -4.0, 0.0, id="it went wrong: the joint had no acceleration to spare"),
+        pytest.param(3.0, 0.0, 1.0, id="nothing was corrected"),
+    ],
+)
+def test_corrections_are_used_as_far_as_they_help(without_deg, effect_deg, worth):
+    horn = HornEstimator()
+    for _ in range(200):
+        horn.judge_effect(without_deg, effect_deg, 0.1)
+    assert horn.worth_ratio == pytest.approx(worth, abs=0.05)
+
+
+def test_a_correction_that_goes_wrong_is_dropped_at_once():
     horn = HornEstimator()
     for _ in range(60):
-        horn.judge_load(2.0, 2.0, 0.1)
-    assert horn.worth_ratio == pytest.approx(1.0, abs=0.05)
-    for _ in range(200):
-        horn.judge_load(-0.5, 2.0, 0.1)
-    assert horn.worth_ratio < 0.05
+        horn.judge_effect(1.2, 1.2, 0.1)
+    for _ in range(10):
+        horn.judge_effect(1.2, -4.0, 0.05)
+    assert horn.worth_ratio < 0.3
+
+
+def moved_once(horn, behind_deg):
+    """Let a joint that rests at 0 make a quick move, with its horn so far behind in motion."""
+    for _ in range(10):
+        horn.take(0.0, (0.0, 0.0, 0.0, 0.0), 0.0, 0.1)
+    for step in range(1, 11):
+        deg = 4.0 * step
+        horn.take(deg - behind_deg * step / 10.0, (deg, deg, 80.0, 80.0), 1.0, 0.05)
+    return horn.correction_deg(40.0, 1.0)
+
+
+def test_what_a_first_quick_move_lacks_is_hardly_corrected_as_a_load():
+    horn = HornEstimator()
+    correction_deg = moved_once(horn, 8.0)
+    assert horn.load_deg(40.0, 1.0) > 1.5
+    assert 0.0 < correction_deg <= UNSEEN_DEG + 1e-9
+
+
+def test_a_load_that_was_seen_at_rest_is_corrected_in_motion_at_once():
+    horn = HornEstimator()
+    for _ in range(10):
+        horn.take(-3.0, (0.0, 0.0, 0.0, 0.0), 0.0, 0.1)
+    assert horn.correction_deg(10.0, 1.0) > 2.0
 
 
 def test_a_load_is_not_corrected_in_motion_where_the_model_is_wrong():
@@ -284,17 +327,25 @@ class Rest:
     def __init__(self, horn_deg, *, noise_deg=0.05, is_modelled=True):
         self.is_modelled = is_modelled
         self.corrector, self.horn_deg, self.noise_deg = StandingCorrector(), horn_deg, noise_deg
+        self.push, self.moved_s = PushDetector(), -1.0
         self.offset_deg, self.now_s, self.sent = 0.0, 0.0, []
 
     def read(self, count):
         for _ in range(count):
             self.now_s += 1.0 / HZ
-            self.corrector.take(-self.horn_deg(self.offset_deg), self.now_s, self.noise_deg)
+            at_deg = self.horn_deg(self.offset_deg)
+            off_deg = at_deg - self.offset_deg
+            play_deg = PLAY_MAX_DEG if self.now_s < self.moved_s + 0.3 else 0.0
+            self.push.take(off_deg, 0.0, self.now_s, self.noise_deg, (-play_deg, play_deg))
+            self.corrector.take(-at_deg, self.now_s, self.noise_deg)
+            if self.push.is_pushed:
+                continue
             offset_deg = self.corrector.next_offset_deg(
                 self.offset_deg, self.now_s, self.noise_deg, is_modelled=self.is_modelled
             )
             if offset_deg is not None:
                 self.offset_deg = offset_deg
+                self.moved_s = self.now_s
                 self.sent.append(round(offset_deg, 3))
                 self.corrector.await_rest()
         return self
@@ -385,10 +436,10 @@ def test_a_push_is_forgotten():
     rest = Rest(lambda offset_deg: 0.0).read(10)
     rest.horn_deg = lambda offset_deg: 6.0
     rest.read(7)
-    assert rest.corrector.is_pushed
+    assert rest.push.is_pushed
     rest.horn_deg = lambda offset_deg: 0.0
     rest.read(20)
-    assert (rest.sent, rest.corrector.is_pushed) == ([], False)
+    assert (rest.sent, rest.push.is_pushed) == ([], False)
 
 
 def test_what_pushes_for_long_is_a_load():
@@ -404,7 +455,55 @@ def test_a_horn_on_its_way_is_neither_pushed_nor_corrected():
     rest = Rest(lambda offset_deg: 0.0)
     rest.horn_deg = lambda offset_deg: -3.0 * math.exp(-2.0 * rest.now_s)
     rest.read(9)
-    assert (rest.sent, rest.corrector.is_pushed) == ([], False)
+    assert (rest.sent, rest.push.is_pushed) == ([], False)
+
+
+# ---- pushes
+
+
+def pushes(offs_deg, *, load_deg=0.0, free_deg=(0.0, 0.0), noise_deg=0.05, step_s=0.05):
+    """Return at which of these readings a horn counts as pushed."""
+    push = PushDetector()
+    found = []
+    for index, off_deg in enumerate(offs_deg):
+        push.take(off_deg, load_deg, step_s * index, noise_deg, free_deg)
+        found.append(push.is_pushed)
+    return found
+
+
+def test_a_push_counts_from_its_first_reading_on_until_the_horn_is_let_go():
+    assert pushes([0.1, 0.0, -3.6, -3.7, -3.7, -1.0, -0.2]) == [0, 0, 1, 1, 1, 1, 0]
+    assert pushes([-3.0, -3.0, -6.0, -6.1, -3.1, -3.0]) == [0, 0, 1, 1, 1, 0], "and a load pulls it"
+
+
+def test_a_horn_that_was_let_go_is_not_back_at_the_first_reading_on_its_way():
+    assert pushes([0.0, -4.4, -4.4, -2.2, 0.0]) == [0, 1, 1, 1, 0]
+
+
+def test_a_push_that_grows_over_some_readings_is_one():
+    assert pushes([0.0, 0.3, 0.7, 1.2, 1.8])[-1] == 1
+
+
+def test_a_horn_that_comes_to_its_course_is_not_pushed():
+    assert not any(pushes([-5.0, -5.0, -2.0, 0.0, 0.0]))
+
+
+def test_nor_is_one_whose_load_was_taken_for_larger_than_it_is():
+    """It comes to its profile, which is 5 deg off where its load should hold it."""
+    assert not any(pushes([0.0, 0.0, 4.9, 5.0], load_deg=5.0))
+    assert pushes([0.0, 0.0, -4.9, -5.0], load_deg=5.0)[-1] == 1
+
+
+def test_in_motion_a_horn_may_be_late_and_on_either_side_of_its_play():
+    assert not any(pushes([0.0, 0.0, -4.0, -4.0], free_deg=(-4.0, 1.0)))
+    assert pushes([0.0, 0.0, 4.0, 4.0], free_deg=(-4.0, 1.0))[-1] == 1
+
+
+def test_a_horn_that_is_pushed_is_not_back_while_its_motion_would_explain_some_of_it():
+    push = PushDetector()
+    for index, (off_deg, free_deg) in enumerate([(0.0, 0.0), (6.5, 0.0), (6.5, 7.0), (4.0, 7.0)]):
+        push.take(off_deg, 0.0, 0.05 * index, 0.05, (-free_deg, free_deg))
+    assert push.is_pushed
 
 
 # ---- which way it turns, and whether within its play

@@ -183,8 +183,10 @@ def commanded():
     return lost_moves, said
 
 
-def test_a_servo_that_names_the_target_before_has_missed_the_last_move(commanded):
+def test_a_servo_that_names_the_target_before_twice_has_missed_the_last_move(commanded):
     lost_moves, _ = commanded
+    assert lost_moves.target_reported(0.71, -20.0) is None
+    assert lost_moves.target_due_ns / 1e9 < 0.7 + 0.02, "it is asked again soon"
     found = lost_moves.target_reported(0.72, -20.0)
     assert found.at(1.2) == profile_of(*MOVES[:2]).at(1.2)
     assert not lost_moves.alternatives
@@ -202,18 +204,28 @@ def test_a_servo_that_may_take_moves_up_late_is_asked_again_before_one_counts_as
     assert lost_moves.target_reported(1.03, 40.0) is not None
 
 
-def test_one_that_has_taken_moves_up_at_once_three_times_is_believed_at_once():
-    for prompt in range(PROMPT_LEAST + 1):
-        first, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
-        for number in range(prompt):
-            first.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.1)
-            said.retarget(0.1 * number, 10.0 + number, 0.1)
-            first.target_reported(0.1 * number + 0.02, 10.0 + number)
-        lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
-        lost_moves.take_over(first)  # As after a pause.
-        lost_moves.commanded(said.copy(), 0.7, 40.0, 0.8)
-        found = lost_moves.target_reported(0.72, said.target_deg)
-        assert (found is not None) is (prompt >= PROMPT_LEAST == 3)
+@pytest.mark.parametrize("prompt", range(PROMPT_LEAST + 1))
+def test_one_that_has_taken_moves_up_at_once_three_times_is_asked_again_at_once(prompt):
+    first, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
+    for number in range(prompt):
+        first.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.1)
+        said.retarget(0.1 * number, 10.0 + number, 0.1)
+        first.target_reported(0.1 * number + 0.02, 10.0 + number)
+    lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
+    lost_moves.take_over(first)  # As after a pause.
+    lost_moves.commanded(said.copy(), 0.7, 40.0, 0.8)
+    lost_moves.target_reported(0.71, said.target_deg)
+    found = lost_moves.target_reported(0.72, said.target_deg)
+    assert (found is not None) is (prompt >= PROMPT_LEAST == 3)
+
+
+def test_one_that_takes_up_some_moves_a_control_tick_later_has_missed_none(commanded):
+    """With a dead time of 7 ms its tick is 7 to 12 ms after a move."""
+    lost_moves, said = commanded
+    assert lost_moves.target_reported(0.708, -20.0) is None
+    assert lost_moves.target_reported(0.716, 40.0) is None
+    lost_moves.commanded(said.copy(), 0.9, 10.0, 0.3)
+    assert lost_moves.target_due_ns / 1e9 > 0.912, "and is asked no sooner from now on"
 
 
 def test_one_that_is_asked_again_is_so_even_if_no_query_was_left(commanded):
