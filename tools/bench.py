@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "states", "plan", "compile", "large", "compress", "horn", "feedback", "robust", "loop", "line",
-    "late", "identify", "load", "capacity", "play", "sound", "network", "sync", "start",
+    "states", "plan", "lateness", "compile", "large", "compress", "horn", "feedback", "robust",
+    "random_pairs", "loop", "line", "late", "identify", "load", "capacity", "play", "sound",
+    "network", "sync", "start",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

@@ -40,10 +40,16 @@ LEAST_NS: Final = 50 * NS_PER_MS
 class Beginning:
     """Notes when a show begins, and lets it begin at the phase of another one: a `Controls`."""
 
-    def __init__(self, other_ns: int | None = None) -> None:
-        """With `other_ns`, `origin_ns` of the run before, begin at its phase; else at once."""
+    def __init__(self, other_ns: int | None = None, *, mark_s: float | None = None) -> None:
+        """With `other_ns`, `origin_ns` of the run before, begin at its phase; else at once.
+
+        At show time `mark_s` the instant is noted.
+        """
         self.origin_ns: int | None = None
         """Instant of show time 0 on the clock of the run; None: the show has not begun."""
+        self.mark_ns: int | None = None
+        """Instant of show time `mark_s`, also of a show that was slowed before."""
+        self._mark_s = mark_s
         self._other_ns = other_ns
         self._is_held = False
 
@@ -52,7 +58,10 @@ class Beginning:
         return ()
 
     def act(self, player: Player, now_ns: int) -> None:
-        """Hold the show before its start, and let it go, once."""
+        """Hold the show before its start, and let it go, once; note the instant of the mark."""
+        if self._mark_s is not None and self.mark_ns is None and player.show is not None:
+            past_s = player.show.show_s(now_ns) - self._mark_s
+            self.mark_ns = now_ns - ns_from_s(past_s) if past_s >= 0.0 else None
         if self._other_ns is not None and not self._is_held:
             self._is_held = True
             player.hold_before_start(now_ns)
@@ -74,14 +83,14 @@ def play_in_phase(
     has_feedback: bool,
     seed: int = 0,
     deviation: Deviation | None = None,
-    other_ns: int | None = None,
+    beginning: Beginning | None = None,
     make_tap: Callable[[int], Tap] | None = None,
 ) -> tuple[Result, int]:
     """Play a show in virtual time; return the result and the instant of show time 0.
 
-    With `other_ns`, that instant of another run, it begins at the phase of that one.
+    With a `Beginning` that knows that instant of another run, it begins at the phase of that one.
     """
-    beginning = Beginning(other_ns)
+    beginning = beginning or Beginning()
     result = perform(
         program,
         robot,
@@ -102,7 +111,7 @@ def with_and_without_feedback(
     """Play a show with feedback, then without from the same phase; both in virtual time."""
     show = program, robot, trajectory
     ours, begun_ns = play_in_phase(*show, has_feedback=True, seed=seed)
-    other, _ = play_in_phase(*show, has_feedback=False, seed=seed, other_ns=begun_ns)
+    other, _ = play_in_phase(*show, has_feedback=False, seed=seed, beginning=Beginning(begun_ns))
     return ours, other
 
 

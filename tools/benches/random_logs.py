@@ -29,7 +29,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 
 import numpy as np  # noqa: E402
 
-from benches.in_phase import horn_rms_deg, play_in_phase  # noqa: E402
+from benches.in_phase import Beginning, horn_rms_deg, play_in_phase  # noqa: E402
 from benches.random_robots import show_from  # noqa: E402
 from benches.shows import lively_show, robot_of  # noqa: E402
 from lss_motion.errors import InputError, PlaybackError  # noqa: E402
@@ -264,7 +264,7 @@ def played_again(case: Case, better: Robot, begun_ns: int) -> float:
         has_feedback=True,
         seed=case.seed,
         deviation=case.deviation,
-        other_ns=begun_ns,
+        beginning=Beginning(begun_ns),
     )
     return horn_rms_deg(result, case.trajectory)
 

@@ -27,7 +27,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 
 import numpy as np  # noqa: E402
 
-from benches.in_phase import bound_ratios, limit_ratios, named_joints, play_in_phase  # noqa: E402
+from benches.in_phase import Beginning, bound_ratios, limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import robot_of  # noqa: E402
 from lss_motion.errors import InputError  # noqa: E402
 from lss_motion.playing import api  # noqa: E402
@@ -201,7 +201,7 @@ def runs(case: Case) -> Iterator[tuple[Run, Run]]:
                 has_feedback=has_feedback,
                 seed=case.seed + seed,
                 deviation=deviation_from_text(case.text),
-                other_ns=other_ns,
+                beginning=Beginning(other_ns),
             )
             truth = result.truth
             assert truth is not None, "the show was not played"

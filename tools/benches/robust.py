@@ -25,7 +25,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 
 import numpy as np  # noqa: E402
 
-from benches.in_phase import limit_ratios, named_joints, play_in_phase  # noqa: E402
+from benches.in_phase import Beginning, limit_ratios, named_joints, play_in_phase  # noqa: E402
 from benches.shows import lively_show, robot_of  # noqa: E402
 from benches.table import Row  # noqa: E402
 from lss_motion.playing import api  # noqa: E402
@@ -236,7 +236,7 @@ def _perform(
         has_feedback=has_feedback,
         seed=seed,
         deviation=deviation_from_text(text),
-        other_ns=other_ns,
+        beginning=Beginning(other_ns),
     )
 
 
