@@ -146,9 +146,8 @@ class JointState:
     """Detector of moves that the servo has lost; None: without feedback."""
     early_s: float = 0.0
     """By how much moves leave earlier than the program says, to make up for the lag. It does not
-    change while a joint is at its speed limit, or while one in EM0 moves: the step instants of the
-    filter are unknown, and a send instant that creeps past one skips a target or uses one twice,
-    which exceeds the acceleration limit."""
+    change while a joint is at its speed limit, or while one in EM0 moves: a send instant that
+    creeps past an unknown step of the filter skips a target or uses one twice."""
     settings: ServoSettings = field(init=False)
     """Whether the servo still has them; the scheduler that polls it sets and keeps them."""
     standing: StandingCorrector = field(default_factory=StandingCorrector)
@@ -575,16 +574,14 @@ class JointState:
     def _may_shift(self, speed_deg_s: float, recent_deg_s: float) -> bool:
         """Return whether moves may leave earlier or later from now on.
 
-        In motion not by less than half a control tick: that only shifts their phase. Nowhere where
-        the joint has no speed to spare.
+        In motion not by less than half a control tick, which only shifts their phase.
         """
-        is_slow = abs(speed_deg_s) < REST_DEG_S
+        may_shift = abs(speed_deg_s) < REST_DEG_S
         if self.setpoints is None:
             change_s = abs(self.disturbance.horn.early_s - self.early_s)
-            is_large = change_s >= 0.5 * self.joint.response.loop_s
             has_speed = recent_deg_s < SPARE_RATIO * self.limits.speed_max_deg_s
-            is_slow = has_speed and (is_slow or is_large)
-        return is_slow and not self.joint.is_shared
+            may_shift = has_speed and (may_shift or change_s >= 0.5 * self.joint.response.loop_s)
+        return may_shift and not self.joint.is_shared
 
     def may_stand(self, now_s: float) -> bool:
         """Return whether the last move is so long ago that the servo may be at rest."""
