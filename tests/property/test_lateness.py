@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from campaign import anchors
 from campaign.reach import Reach
 
 from benches.shows import lively_show, robot_of
@@ -90,3 +92,10 @@ def test_a_show_of_many_joints_that_is_late_again_and_again_is_never_early() -> 
     assert max(late_s) > 0.1
     assert min(late_s) > -1e-5
     assert trajectory.duration_s == pytest.approx(45.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", [700_008, 700_411])
+def test_an_anchor_that_can_be_met_is_met(seed) -> None:
+    """The first is passed faster than authored; behind the second one cell exceeds a limit."""
+    told = anchors.play(seed, Namespace(refused=False, layers=False))
+    assert (told.outcome, told.broken) == ("met", ())
