@@ -140,3 +140,33 @@ def test_slopes_are_given_by_v_by_typing_and_by_handles(shaped):
     shaped.click(x, y)
     page.key("v")
     page.wait("document.querySelector('.banners').textContent.includes('not its first or last')")
+
+
+def test_the_four_motions_are_switched_in_the_legend(shaped):
+    page = shaped.page
+    shades = """import('/static/frames.js').then(async (frames) => {
+      await frames.idle();
+      const canvas = document.querySelector('.board-plan');
+      const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+      const probe = document.createElement('canvas').getContext('2d');
+      const rgb = ['--plan', '--predicted'].map((name) => {
+        const style = getComputedStyle(document.querySelector('.board'));
+        probe.fillStyle = style.getPropertyValue(name).trim();
+        probe.fillRect(0, 0, 1, 1);
+        return [...probe.getImageData(0, 0, 1, 1).data];
+      });
+      return rgb.map((own) => {
+        let count = 0;
+        for (let at = 0; at < data.length; at += 4) {
+          count += [0, 1, 2].every((part) => Math.abs(data[at + part] - own[part]) < 6) ? 1 : 0;
+        }
+        return count;
+      });
+    })"""
+    plan, predicted = page.run(shades)
+    button = "[...document.querySelectorAll('.ghost')].find((one) => one.textContent === '%s')"
+    page.run(button % "horn" + ".click()")
+    assert page.run(shades)[1] > predicted + 100, "the predicted horn is drawn"
+    page.run(button % "plan" + ".click()")
+    assert page.run(shades)[0] < plan / 2, "the plan is not"
+    assert page.run(button % "plan" + ".getAttribute('aria-pressed')") == "false"

@@ -60,6 +60,7 @@ export function firstState() {
     drafts: 0,
     is_dragging: false,
     ripple: false,
+    ghosts: { authored: true, plan: true, predicted: false, reading: true },
     live: false,
     posed: null,
     menu: null,

@@ -106,6 +106,7 @@ export type Selection =
   | { kind: "span"; list: "stretched" | "given_up"; index: number }
   | { kind: "joint"; joint: string }
   | null;
+export type Ghosts = { authored: boolean; plan: boolean; predicted: boolean; reading: boolean };
 export type State = {
   link: { status: "connecting" | "open" | "lost" | "denied"; text: string };
   welcome: null | {
@@ -154,6 +155,8 @@ export type State = {
   drafts: number;
   is_dragging: boolean;
   ripple: boolean;
+  /** Which motions are drawn over each other, each in a colour of its own. */
+  ghosts: Ghosts;
   /** Edits that are checked are taken into the show that plays. */
   live: boolean;
   /** Angles that are tried at the cursor, while a slider is dragged. */

@@ -17,6 +17,13 @@ import { About } from "./about.js";
 /** @typedef {{ state: State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
 
 const SIDES = /** @type {const} */ ([["chosen", "Chosen"], ["contents", "Contents"]]);
+/** The motions that are drawn over each other. */
+const GHOSTS = /** @type {const} */ ([
+  ["authored", "authored", "What the author asks for, where the plan is another"],
+  ["plan", "plan", "The motion within all limits"],
+  ["predicted", "horn", "Where the horn is predicted to be"],
+  ["reading", "read", "What was read in the last run"],
+]);
 const ORDERS = ["Angle", "Speed", "Acceleration"];
 
 /** @param {Props} props */
@@ -67,7 +74,7 @@ function Tools({ state, actions }) {
     <button type="button" aria-pressed=${state.live} title="What is checked is taken into the show that plays, where it can be" onClick=${() => actions.run("live")}>Live</button>
     <${Edits} state=${state} actions=${actions} />
     <span class="cursor-time">cursor <output>${timeText(state.cursor_s, 0.001)}</output></span>
-    <${Legend} state=${state} />
+    <${Legend} state=${state} actions=${actions} />
   </div>`;
 }
 
@@ -93,14 +100,16 @@ function Badge({ state, own, view }) {
   return html`<span class=${`chip ${slowed === "" ? "chip-good" : "chip-warn"}`} role="status">✓ checked${slowed}</span>`;
 }
 
-/** @param {{ state: State }} props */
-function Legend({ state }) {
+/** What the colours are; the motions can be switched. @param {{ state: State, actions: import("../actions.js").Actions }} props */
+function Legend({ state, actions }) {
   const view = state.view;
   /** @type {[string, string][]} */
-  const all = [["plan", "plan"], ["reading", "read"], ["predicted", "predicted error"], ["limit", "limit"]];
-  if (state.order !== 0) all.splice(1, 1); // Angles are read, nothing else.
-  if (view?.stretched.length) all.push(["stretched", "slowed"], ["authored", "authored"]);
+  const all = [["limit", "limit"]];
+  if (view?.stretched.length) all.push(["stretched", "slowed"]);
   if (view?.given_up.length) all.push(["given-up", "angle given up"]);
-  return html`<ul class="legend" aria-label="Legend">${all.map(([name, text]) => html`<li key=${name}><i class=${`swatch swatch-${name}`}></i>${text}</li>`)}
+  return html`<ul class="legend" aria-label="Legend">
+    ${GHOSTS.map(([name, text, title]) => html`<li key=${name}><button type="button" class="plain ghost" aria-pressed=${state.ghosts[name]} title=${title}
+      onClick=${() => actions.set({ ghosts: { ...state.ghosts, [name]: !state.ghosts[name] } })}><i class=${`swatch swatch-${name}`}></i>${text}</button></li>`)}
+    ${all.map(([name, text]) => html`<li key=${name}><i class=${`swatch swatch-${name}`}></i>${text}</li>`)}
     <li><i class="swatch swatch-key"></i>key</li><li><i class="swatch swatch-anchor"></i>anchor</li></ul>`;
 }

@@ -208,7 +208,7 @@ export class TimelineBoard {
     const scene = {
       view: state.view, rows, seen: this.#seen, fixed_px: this.#layout.fixed_px,
       height_px: this.#height_px, order: state.order, selection: state.selection, row: state.row,
-      palette: this.#palette, used_deg: this.#used_deg,
+      palette: this.#palette, used_deg: this.#used_deg, ghosts: state.ghosts,
     };
     this.#drawPlan(scene, state);
     this.#drawMoving(scene, state, playhead_s);
@@ -217,7 +217,7 @@ export class TimelineBoard {
   /** @param {import("./draw.js").Scene} scene @param {import("../state.js").State} state */
   #drawPlan(scene, state) {
     const { start_s, px_per_s, width_px } = this.#seen;
-    const drawn = [start_s, px_per_s, width_px, this.#scroll_px, this.#height_px, state.order, state.row].join(" ");
+    const drawn = [start_s, px_per_s, width_px, this.#scroll_px, this.#height_px, state.order, state.row, ...Object.values(state.ghosts)].join(" ");
     if (drawn === this.#drawn && state.selection === this.#selection) return;
     this.#drawn = drawn;
     this.#selection = state.selection;

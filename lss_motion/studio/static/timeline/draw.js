@@ -22,7 +22,7 @@ import { endOf, pixelOf, tickStep, timeText } from "./window.js";
  * @property {View} view @property {Row[]} rows in sight @property {Window} seen
  * @property {number} fixed_px height of the rows that stay @property {number} height_px
  * @property {0 | 1 | 2} order @property {State["selection"]} selection @property {number} row
- * @property {Palette} palette
+ * @property {Palette} palette @property {import("../state.js").Ghosts} [ghosts] default: all but the predicted horn
  * @property {Record<string, [number, number]>} used_deg least and largest angle of each joint
  */
 
@@ -338,9 +338,12 @@ function drawJoint(ctx, scene, row) {
     ctx.fillStyle = palette.line;
     ctx.fillRect(0, scale.y(0), seen.width_px, 1);
   }
-  if (curves.authored !== null && isAway(scene, row.name)) drawCurve(ctx, scene, curves.authored, scale.y, palette.authored, [4, 3]);
+  const { ghosts } = scene;
+  if (curves.authored !== null && ghosts?.authored !== false && isAway(scene, row.name)) drawCurve(ctx, scene, curves.authored, scale.y, palette.authored, [4, 3]);
   if (order === 0) drawAsked(ctx, scene, row.name, scale.y);
-  drawCurve(ctx, scene, curves.plan, scale.y, palette.plan, []);
+  if (ghosts?.plan !== false) drawCurve(ctx, scene, curves.plan, scale.y, palette.plan, []);
+  // Above the plan, from which it is mostly less than a pixel away.
+  if (ghosts?.predicted) drawCurve(ctx, scene, curves.predicted, scale.y, palette.predicted, [5, 5]);
   drawError(ctx, scene, row, curves);
   const keys = view.keys[row.name] ?? [];
   const chosen = chosenKeys(scene);
@@ -660,7 +663,7 @@ function fittedText(ctx, text, width_px) {
 export function drawLive(ctx, scene, live) {
   const { seen, palette, fixed_px, height_px } = scene;
   ctx.clearRect(0, 0, seen.width_px, height_px);
-  if (scene.order === 0) {
+  if (scene.order === 0 && scene.ghosts?.reading !== false) {
     ctx.save();
     clip(ctx, 0, fixed_px, seen.width_px, height_px - fixed_px);
     for (const row of scene.rows) {
