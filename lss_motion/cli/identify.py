@@ -132,8 +132,7 @@ def _identify(arguments: argparse.Namespace) -> int:
                 if experiment.is_stopped:
                     say(f"{joint.name}: stopped; nothing was measured", sys.stderr)
                     return ended_by(terminal.signal_number)
-                _conclude(arguments, path, joint, experiment)
-                path = path if arguments.no_write else arguments.output or path
+                path = _conclude(arguments, path, joint, experiment)
     return EXIT_FINISHED
 
 
@@ -160,8 +159,9 @@ def _from_log(arguments: argparse.Namespace) -> int:
             say(f"  {error}: {robot.identify_command(name)}")
             continue
         how = f"from {arguments.log.name}, "
-        _write(arguments, path, robot.joints[name], result, how, robot.identify_command(name))
-        path, is_measured = path if arguments.no_write else arguments.output or path, True
+        command = robot.identify_command(name)
+        path = _write(arguments, path, robot.joints[name], result, how, command)
+        is_measured = True
     return EXIT_FINISHED if is_measured else EXIT_NOT_FOLLOWED
 
 
@@ -268,11 +268,11 @@ def _measured(
 
 def _conclude(
     arguments: argparse.Namespace, path: Path, joint: Joint, experiment: Experiment
-) -> None:
-    """Print the result, and write it into the robot file at `path`."""
+) -> Path:
+    """Print the result, and write it into the robot file at `path`; return where it stands now."""
     from lss_motion.maintenance.identify.estimate import identify
 
-    _write(arguments, path, joint, identify(joint, experiment.recording))
+    return _write(arguments, path, joint, identify(joint, experiment.recording))
 
 
 def _write(
@@ -282,10 +282,11 @@ def _write(
     found: Identified,
     how: str = "",
     experiment: str = "",
-) -> None:
+) -> Path:
     """Print a result and how it differs from the robot file; write it into the one at `path`.
 
-    `how` it was measured, and what command would tell what is left open.
+    `how` it was measured, and what command would tell what is left open. Returns the file that
+    has what was written so far.
     """
     from lss_motion.maintenance.identify import estimate
     from lss_motion.robot.write import write_response
@@ -303,12 +304,13 @@ def _write(
     if experiment and (left_open := estimate.left_open(found)):
         say(f"  - {', '.join(left_open)}: an experiment tells more: {experiment}")
     if arguments.no_write:
-        return
+        return path
     values = estimate.response_values(found, joint)
     if not values:
         say(f"{joint.name}: nothing is known well enough to be written")
-        return
+        return path
     comments = estimate.comment_lines(found, how + datetime.now(tz=UTC).date().isoformat())
-    output = arguments.output or path
+    output: Path = arguments.output or path
     write_response(path, joint.name, values, comments, output=output)
     say(f"{joint.name}: written to {output}")
+    return output

@@ -196,6 +196,20 @@ def test_the_command_writes_what_a_log_tells_of_the_joints_that_are_named(tmp_pa
 
 
 @pytest.mark.slow
+def test_a_joint_of_which_nothing_is_known_does_not_keep_the_next_from_being_written(
+    tmp_path,
+) -> None:
+    log, made = tmp_path / "show.log", tmp_path / "made.yaml"
+    words = ["--virtual", "--loop", "1", "--sim", "lag=+60ms", "--log", str(log)]
+    assert play(["sequences/wave.yaml", *words]) == 0
+    options = ["--robot", "sequences/robots/desk_arm.yaml", "--from", str(log), "-o", str(made)]
+    assert main(["identify", "elbow", "wrist", *options]) == 0
+    found = load_robot(made).joints
+    assert found["elbow"].response.lag_s == 0.02
+    assert found["wrist"].response.lag_s == pytest.approx(0.08, abs=0.006)
+
+
+@pytest.mark.slow
 def test_a_ramp_that_depends_on_an_undecided_law_is_not_written(tmp_path, capsys) -> None:
     """A slow joint: three of four laws explain it, with ramps of 843, 1985 and 2426 deg/s^2.
 
