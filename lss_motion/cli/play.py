@@ -179,7 +179,7 @@ def play(arguments: argparse.Namespace) -> int:
     from lss_motion.playing.connection import is_simulated, with_port
 
     robot = with_port(show.robot, arguments.port)
-    _check(arguments, show, is_simulated=is_simulated(robot))
+    _check(arguments, show, robot)
     if arguments.dry_run:
         from lss_motion.planning.summaries import program_lines
 
@@ -284,16 +284,18 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
     require_outputs(outputs, sources=sources, remedy=OTHER_NAME_REMEDY)
 
 
-def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> None:
+def _check(arguments: argparse.Namespace, show: Show, robot: Robot) -> None:
     """Refuse arguments whose fault would otherwise appear only after the show."""
+    from lss_motion.playing.connection import is_simulated
+
     require_timecode(arguments)
     if arguments.all and not arguments.dry_run:
         raise InputError("--all lists what --dry-run prints; give both, or neither")
-    if arguments.truth is not None and not is_simulated:
+    if arguments.truth is not None and not is_simulated(robot):
         raise InputError("--truth needs the simulated bus: a real horn angle is not known exactly")
-    if arguments.faults is not None and not is_simulated:
+    if arguments.faults is not None and not is_simulated(robot):
         raise InputError("--faults needs the simulated bus")
-    deviation_of(arguments, show.robot.servo_robot)
+    deviation_of(arguments, robot.servo_robot)
     if arguments.virtual and show.program.is_endless:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
     if arguments.start_s is not None:
