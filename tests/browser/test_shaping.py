@@ -105,6 +105,7 @@ def shaping(studio, opened, folder, show=SHOW, robot=ROBOT):
     path = folder / "show.yaml"
     path.write_text(show, encoding="utf-8")
     with studio(path) as own, opened(own) as page:
+        page.run("performance.setResourceTimingBufferSize(100000)")  # `PLACES` needs the last one.
         page.key("2")
         page.wait("document.querySelector('.board-plan')")
         page.wait(CHECKED)

@@ -12,6 +12,8 @@
 
 /** A change waits no longer for the newest text than this. */
 const WAIT_MS = 8000;
+/** A change is made so often where the file changed in between. */
+const TRIES_MAX = 3;
 
 export class ContentsEditor {
   /** @type {Promise<unknown>} */
@@ -72,16 +74,22 @@ export class ContentsEditor {
 
   /** @param {(model: Model) => Change[]} make @param {string} gesture */
   async #all(make, gesture) {
-    try {
-      const changes = make(await this.#newest());
-      for (const { op, fields } of changes) {
-        const revision = this.store.state.value.document?.revision ?? 0;
-        await this.link.send(op, { revision, gesture, ...fields });
+    for (let tries = TRIES_MAX; ; tries -= 1) {
+      let revision = -1, made = 0;
+      try {
+        for (const { op, fields } of make(await this.#newest())) {
+          revision = this.store.state.value.document?.revision ?? 0;
+          await this.link.send(op, { revision, gesture, ...fields });
+          made += 1;
+        }
+        return true;
+      } catch (error) {
+        // An undo or another client came between: it is made once more, of what the file holds then.
+        const isStale = made === 0 && revision >= 0 && revision !== this.store.state.value.document?.revision;
+        if (isStale && tries > 1) continue;
+        this.store.dispatch({ type: "refused", text: error instanceof Error ? error.message : String(error) });
+        return false;
       }
-      return true;
-    } catch (error) {
-      this.store.dispatch({ type: "refused", text: error instanceof Error ? error.message : String(error) });
-      return false;
     }
   }
 

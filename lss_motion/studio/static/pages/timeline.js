@@ -91,11 +91,12 @@ function Edits({ state, actions }) {
     <${Badge} state=${state} own=${own} view=${state.view} /></span>`;
 }
 
-/** Draft or checked, in a word: only what is checked is played.
+/** Draft or checked, in a word: only what is checked is played, and what is checked is what is seen.
  * @param {{ state: State, own: import("../state.js").Document, view: import("../state.js").View }} props */
 function Badge({ state, own, view }) {
   if (own.errors.length > 0) return html`<span class="chip chip-bad" role="status">▲ not checked: an error</span>`;
-  if (state.drafts > 0 || state.is_dragging || !own.is_current) return html`<span class="chip chip-busy" role="status">◇ draft</span>`;
+  const isSeen = own.is_current && view.revision === own.revision;
+  if (state.drafts > 0 || state.is_dragging || !isSeen) return html`<span class="chip chip-busy" role="status">◇ draft</span>`;
   const slowed = view.stretched.length === 0 ? "" : `, ${view.stretched.length} slowed`;
   return html`<span class=${`chip ${slowed === "" ? "chip-good" : "chip-warn"}`} role="status">✓ checked${slowed}</span>`;
 }
