@@ -171,15 +171,12 @@ def test_the_head_of_the_examples_moves_rc_servos_through_four_bars() -> None:
     assert joints["left_lid"].horn_error_rms_deg < 0.5
 
 
-def test_what_does_not_know_mechanisms_refuses_such_a_robot_before_it_sends(tmp_path: Path) -> None:
+def test_a_player_refuses_a_robot_of_joints_before_it_sends(tmp_path: Path) -> None:
     from lss_motion.errors import InputError
-    from lss_motion.playing.connection import connect
     from lss_motion.playing.player.player import Player
     from lss_motion.playing.player.repertoire import Repertoire
 
     show = prepared(tmp_path)
-    with pytest.raises(InputError, match="nothing was sent to a servo"):
-        connect(show.robot.buses, robot=show.robot)
     with pytest.raises(InputError, match="nothing was sent to a servo"):
         Player(Repertoire.single(show.program, show.robot.servo_robot), show.robot)
 
