@@ -363,8 +363,7 @@ class JogControls(HandsControls):
         """Take the present angles; write them, or ask for the name of the pose first."""
         for joint in hands_on.joints:
             deg = round(hands_on.readings[joint.name].deg, 1)
-            deg = min(max(deg, joint.position_min_deg), joint.position_max_deg)
-            self._pose[joint.name] = deg + 0.0
+            self._pose[joint.name] = joint.within_deg(deg) + 0.0
         if self._pose_name is not None:
             self._keep(self._free_name(self._pose_name))
             return

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from lss_motion.playing.joint_view import JointView
     from lss_motion.robot.mechanism import FloatArray, Mechanism
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.model import Robot
 
 WAY_PLACES: Final = 9
 """Places of a way at which the speeds of joints are judged. Chosen: it is a few degrees long."""
@@ -123,7 +123,7 @@ def servo_targets(
     servos = [robot.servos[name] for name in mechanism.servos]
     here = np.array([here_deg[name] for name in mechanism.servos])
     column = mechanism.joints.index(moved)
-    aim = np.array([_within(robot.joints[name], wanted_deg[name]) for name in mechanism.joints])
+    aim = np.array([robot.joints[name].within_deg(wanted_deg[name]) for name in mechanism.joints])
     low = np.array([servo.position_min_deg for servo in servos]) - EDGE_DEG
     high = np.array([servo.position_max_deg for servo in servos]) + EDGE_DEG
 
@@ -185,7 +185,3 @@ def _at(pieces: Sequence[Piece], at_s: float) -> float:
 
 def _begins(piece: Piece) -> float:
     return piece.start_s
-
-
-def _within(joint: Joint, deg: float) -> float:
-    return min(max(deg, joint.position_min_deg), joint.position_max_deg)

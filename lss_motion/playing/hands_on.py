@@ -273,8 +273,7 @@ class HandsOn:
             return joint_deg
         mechanism = self.view.mechanism_of(name)
         if mechanism is None:
-            joint = self.robot.joints[name]
-            target_deg = min(max(joint_deg, joint.position_min_deg), joint.position_max_deg)
+            target_deg = self.robot.joints[name].within_deg(joint_deg)
             self._send({name: target_deg}, duration_s)
             self.limp.discard(name)
             return target_deg

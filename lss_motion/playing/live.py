@@ -172,10 +172,7 @@ class Live:
         servos_deg = self._read_servos()
         self._require_same_turn([self._servos.joints[name] for name in servos], servos_deg)
         here = {name: deg + 0.0 for name, deg in self._view.joint_deg(servos_deg).items()}
-        from_deg = {
-            joint.name: min(max(here[joint.name], joint.position_min_deg), joint.position_max_deg)
-            for joint in joints
-        }
+        from_deg = {joint.name: joint.within_deg(here[joint.name]) for joint in joints}
         to_deg = {name: targets.get(name, from_deg[name]) for name in moved}
         keyframes = (
             Keyframe(deg=from_deg, at_s=None if duration_s is None else 0.0),
@@ -215,10 +212,7 @@ class Live:
         """
         joints = self.robot.joints
         values = target_values(deg, joints)
-        nearest = {
-            name: min(max(value, joints[name].position_min_deg), joints[name].position_max_deg)
-            for name, value in values.items()
-        }
+        nearest = {name: joints[name].within_deg(value) for name, value in values.items()}
         if self._follower is not None and not self._follower.is_playing:
             self._end_following()
         is_new = any(name in self._limp for name in nearest)

@@ -468,8 +468,7 @@ class Hands:
             raise InputError("a joint turns; let it stop first")
 
     def _seen_deg(self, name: str, hands_on: HandsOn) -> float:
-        joint, deg = self._robot.joints[name], round(hands_on.readings[name].deg, 1)
-        return min(max(deg, joint.position_min_deg), joint.position_max_deg)
+        return self._robot.joints[name].within_deg(round(hands_on.readings[name].deg, 1))
 
     def _named(self, names: Sequence[str], hands_on: HandsOn) -> list[str]:
         known = [joint.name for joint in hands_on.joints]

@@ -102,7 +102,7 @@ def live_program(robot: Robot, standing_deg: Mapping[str, float]) -> Program:
     start_deg, drives = {}, {}
     for name, deg in standing_deg.items():
         joint = robot.joints[name]
-        start_deg[name] = min(max(deg, joint.position_min_deg), joint.position_max_deg)
+        start_deg[name] = joint.within_deg(deg)
         if "timed" not in FAMILIES[joint.model.family].drives:
             drives[name] = Driving("stepped")
         elif ramp_deg_s2(joint) > joint.accel_max_deg_s2 * (1.0 + 1e-9):
@@ -159,8 +159,7 @@ class _FollowingJoint:
     def want(self, joint_deg: float) -> None:
         """Take a target; one out of the range counts as the end of the range."""
         joint = self.joint
-        within_deg = min(max(joint_deg, joint.position_min_deg), joint.position_max_deg)
-        self.wanted = nearest_wire(joint.servo_deg(within_deg), self.limits)
+        self.wanted = nearest_wire(joint.servo_deg(joint.within_deg(joint_deg)), self.limits)
 
     def is_ready(self, state: JointState, now_ns: int) -> bool:
         """Return whether a move may be sent: at any time, unless the servo begins each at rest."""

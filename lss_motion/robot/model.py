@@ -215,6 +215,10 @@ class Joint(Located, frozen=True, kw_only=True):
         """Return the servo angle of a joint angle."""
         return self.zero_deg + self.direction * joint_deg
 
+    def within_deg(self, joint_deg: float) -> float:
+        """Return the joint angle within the range that is nearest to an angle."""
+        return min(max(joint_deg, self.position_min_deg), self.position_max_deg)
+
     @property
     def servo_range_deg(self) -> tuple[float, float]:
         """Least and largest servo angle of the range."""

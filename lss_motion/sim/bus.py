@@ -511,7 +511,7 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
     asked_deg = start_deg or {}
     specs = []
     for joint in (robot.joints[name] for name in servos_of(robot, bus_name)):
-        rest_deg = min(max(0.0, joint.position_min_deg), joint.position_max_deg)
+        rest_deg = joint.within_deg(0.0)
         spec = ServoSpec(
             servo_id=joint.servo_id,
             model=joint.model,

@@ -202,10 +202,7 @@ class _ServoMotion:
         self._tree = RigidTree(figure, self._joints)
         rests = {link.joint: link.rest_deg for link in reversed(figure.links)}
         self._rest_deg = np.array(
-            [
-                min(max(rests.get(name, 0.0), one.position_min_deg), one.position_max_deg)
-                for name, one in robot.joints.items()
-            ]
+            [one.within_deg(rests.get(name, 0.0)) for name, one in robot.joints.items()]
         )
         self._columns = [self._joints.index(name) for name in trajectory.joints]
         self._mechanisms = [

@@ -570,7 +570,7 @@ def _within_range(joint: Joint, servo_deg: float) -> float:
     here_deg = joint.joint_deg(servo_deg)
     if joint.position_min_deg <= here_deg <= joint.position_max_deg:
         return servo_deg
-    return joint.servo_deg(min(max(here_deg, joint.position_min_deg), joint.position_max_deg))
+    return joint.servo_deg(joint.within_deg(here_deg))
 
 
 def approach(
