@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import TOLERANCE_MAX_DEG, add_command, robot_at
 from lss_motion.cli.hands import (
     HandsControls,
+    StepControls,
     add_hands_arguments,
     chosen_joints,
     joint_lines,
@@ -284,31 +285,21 @@ HELD_NS: Final = NS_PER_S // 2
 """A key that comes again so soon is held down. Chosen: keyboards repeat some 30 times a second."""
 
 
-class JogControls(HandsControls):
+class JogControls(StepControls):
     """Moves one joint at a time. Writes each pose into the robot file at once."""
 
     greeting = JOG_KEYS
 
     def __init__(self, robot: Robot, pose_name: str | None = None) -> None:
         """Without `pose_name` a person gives each pose a name."""
-        super().__init__()
+        super().__init__(STEPS_DEG, 2)
         self._robot = robot
         self._pose_name = pose_name
         self._poses = set(robot.poses)
-        self._typed: str | None = None
-        """The name as far as it is typed; None: no name is asked for."""
         self._chosen = 0
-        self._step = 2
         self._target_deg: dict[str, float] = {}
         self._pose: dict[str, float] = {}
         self._c_ns = -HELD_NS
-
-    def turn(self, hands_on: HandsOn) -> None:
-        hands_on.take()
-
-    @property
-    def takes_text(self) -> bool:
-        return self._typed is not None
 
     def press(self, key: str, hands_on: HandsOn) -> None:
         if self._typed is not None:
@@ -321,12 +312,11 @@ class JogControls(HandsControls):
             case "\x1b[B" | "j":
                 self._chosen = (self._chosen + 1) % len(hands_on.joints)
             case "\x1b[C" | "+" | "=":
-                self._move(hands_on, joint.name, STEPS_DEG[self._step])
+                self._move(hands_on, joint.name, self.step_deg)
             case "\x1b[D" | "-":
-                self._move(hands_on, joint.name, -STEPS_DEG[self._step])
+                self._move(hands_on, joint.name, -self.step_deg)
             case "[" | "]":
-                self._step += 1 if key == "]" else -1
-                self._step = min(max(self._step, 0), len(STEPS_DEG) - 1)
+                self.change_step(key)
             case "l":
                 hands_on.let_go([joint.name])
                 self._target_deg.pop(joint.name, None)
@@ -340,7 +330,7 @@ class JogControls(HandsControls):
 
     def lines(self, hands_on: HandsOn, now_ns: int) -> list[str]:
         chosen = hands_on.joints[self._chosen].name
-        head = f"step {STEPS_DEG[self._step]:g} deg   {JOG_KEYS}"
+        head = f"step {self.step_deg:g} deg   {JOG_KEYS}"
         if self._typed is not None:
             head = f"name: {self._typed}_"
         return [head, *joint_lines(hands_on, now_ns, chosen)]

@@ -206,6 +206,34 @@ class HandsControls(Inputs, ABC):
             self._screen.show(lines, now_ns)
 
 
+class StepControls(HandsControls):
+    """Keys that step a joint by one of some sizes, and a text that a person types in between."""
+
+    def __init__(self, steps_deg: Sequence[float], first: int) -> None:
+        """Begin with the size at the place `first` of `steps_deg`."""
+        super().__init__()
+        self._steps_deg, self._step = steps_deg, first
+        self._typed: str | None = None
+        """The text as far as it is typed; None: none is asked for."""
+
+    def turn(self, hands_on: HandsOn) -> None:
+        hands_on.take()
+
+    @property
+    def takes_text(self) -> bool:
+        return self._typed is not None
+
+    @property
+    def step_deg(self) -> float:
+        """The size that is chosen."""
+        return self._steps_deg[self._step]
+
+    def change_step(self, key: str) -> None:
+        """Choose the next larger size with `]`, the next smaller one with any other key."""
+        self._step += 1 if key == "]" else -1
+        self._step = min(max(self._step, 0), len(self._steps_deg) - 1)
+
+
 def perform(
     hands_on: HandsOn,
     controls: HandsControls,

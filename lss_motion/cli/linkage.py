@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.hands import HandsControls, joint_lines
+from lss_motion.cli.hands import StepControls, joint_lines
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,30 +16,20 @@ STEPS_DEG: Final = (0.5, 1.0, 2.0, 5.0, 10.0)
 ANGLE_MAX_CHARS: Final = 8
 
 
-class LinkageControls(HandsControls):
+class LinkageControls(StepControls):
     """Steps one servo; a person types the angle of the joint at each place."""
 
     greeting = KEYS
 
     def __init__(self, robot: Robot, name: str) -> None:
         """Measure the linkage of joint `name`, whose servo `HandsOn` moves in servo degrees."""
-        super().__init__()
+        super().__init__(STEPS_DEG, 3)
         self._robot, self._name = robot, name
         self._servo = robot.servo_robot.joints[name]
-        self._step = 3
-        self._typed: str | None = None
-        """The angle as far as it is typed; None: none is asked for."""
         self._here_deg = 0.0
         self._target_deg: float | None = None
         self._points: list[tuple[float, float]] = []
         self._is_asking = False
-
-    def turn(self, hands_on: HandsOn) -> None:
-        hands_on.take()
-
-    @property
-    def takes_text(self) -> bool:
-        return self._typed is not None
 
     def press(self, key: str, hands_on: HandsOn) -> None:
         if self._typed is not None:
@@ -50,7 +40,7 @@ class LinkageControls(HandsControls):
             self._act(key, hands_on)
 
     def lines(self, hands_on: HandsOn, now_ns: int) -> list[str]:
-        head = f"{len(self._points)} measured   step {STEPS_DEG[self._step]:g} deg   {KEYS}"
+        head = f"{len(self._points)} measured   step {self.step_deg:g} deg   {KEYS}"
         if self._typed is not None:
             head = f"angle of {self._name} here, in degrees: {self._typed}_"
         return [head, *joint_lines(hands_on, now_ns, self._name)]
@@ -58,12 +48,11 @@ class LinkageControls(HandsControls):
     def _act(self, key: str, hands_on: HandsOn) -> None:
         match key:
             case "\x1b[C" | "+" | "=":
-                self._move(hands_on, STEPS_DEG[self._step])
+                self._move(hands_on, self.step_deg)
             case "\x1b[D" | "-":
-                self._move(hands_on, -STEPS_DEG[self._step])
+                self._move(hands_on, -self.step_deg)
             case "[" | "]":
-                self._step += 1 if key == "]" else -1
-                self._step = min(max(self._step, 0), len(STEPS_DEG) - 1)
+                self.change_step(key)
             case "l" | "h":
                 (hands_on.let_go if key == "l" else hands_on.hold)([self._name])
                 self._target_deg = None
