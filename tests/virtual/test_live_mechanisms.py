@@ -76,6 +76,23 @@ def joints_of(horn_deg):
     }
 
 
+class Person:
+    """Acts by hand, with the time since the robot could be moved first."""
+
+    def __init__(self, act):
+        self._act, self.began_ns = act, None
+
+    def filenos(self):
+        return []
+
+    def act(self, driven, now_ns):
+        if driven.phase != "playing":
+            return
+        if self.began_ns is None:
+            self.began_ns = now_ns
+        self._act(driven, now_ns - self.began_ns)
+
+
 def session(robot, *script):
     """Return client, bus, times from the first state on, and the horns then."""
     client = LiveClient(script)
@@ -179,27 +196,20 @@ def test_no_joint_leaves_its_range_while_others_of_its_mechanism_turn_back(tmp_p
     moves = iter(
         [("tilt", 25.0), ("roll", -15.0), ("tilt", -20.0), ("roll", 15.0), ("tilt", 25.0)] * 3
     )
-    clock, began, hands_on = VirtualClock(), [], HandsOn(robot, ["tilt"])
+    clock, sent, hands_on = VirtualClock(), [], HandsOn(robot, ["tilt"])
 
-    class Person:
-        def filenos(self):
-            return []
+    def act(driven, passed_ns):
+        if passed_ns > len(sent) * 0.45 * S and (move := next(moves, None)):
+            sent.append(move)
+            driven.move(*move, 0.4)
+        if passed_ns > 12 * S:
+            driven.stop()
 
-        def act(self, driven, now_ns):
-            if driven.phase != "playing":
-                return
-            began.append(now_ns)
-            if now_ns - began[0] > len(sent) * 0.45 * S and (move := next(moves, None)):
-                sent.append(move)
-                driven.move(*move, 0.4)
-            if now_ns - began[0] > 12 * S:
-                driven.stop()
-
-    sent = []
+    person = Person(act)
     with connect(robot.buses, robot=robot, clock=clock) as connection:
-        run_loop(hands_on, connection.ports, clock, controls=Person())
+        run_loop(hands_on, connection.ports, clock, controls=person)
         bus = connection.simulated["main"]
-    found = joints_of(bus.horn_deg(np.arange(began[0], clock.now_ns(), 2_000_000).tolist()))
+    found = joints_of(bus.horn_deg(np.arange(person.began_ns, clock.now_ns(), 2_000_000).tolist()))
     assert len(sent) == 15
     for name in ("tilt", "roll"):
         joint = robot.joints[name]
@@ -222,27 +232,19 @@ def test_a_silent_servo_stops_all_of_its_mechanism(head):
     """Nothing more is sent to its mate than that it holds."""
     clock, wanted = VirtualClock(), iter(np.arange(1.0, 12.0, 0.2))
     hands_on = HandsOn(head, ["tilt"])
-    events, began = [], []
+    events, due_ns = [], [0]
 
-    class Person:
-        def filenos(self):
-            return []
+    def act(driven, passed_ns):
+        if passed_ns == 0 or passed_ns > due_ns[0]:
+            due_ns[0] = passed_ns + S // 5
+            if (deg := next(wanted, None)) is not None and passed_ns < 6 * S:
+                driven.move("tilt", float(deg), 0.2)
+        if passed_ns > 8 * S:
+            driven.stop()
 
-        def act(self, driven, now_ns):
-            if driven.phase != "playing":
-                return
-            began.append(now_ns)
-            if len(began) == 1 or now_ns - began[0] > act_ns[0]:
-                act_ns[0] = now_ns - began[0] + S // 5
-                if (deg := next(wanted, None)) is not None and now_ns - began[0] < 6 * S:
-                    driven.move("tilt", float(deg), 0.2)
-            if now_ns - began[0] > 8 * S:
-                driven.stop()
-
-    act_ns = [0]
     fault = Fault(kind=FaultKind.LOST_REPLY, at_s=4.0, servo_id=5)
     with connect(head.buses, robot=head, clock=clock, faults=(fault,)) as connection:
-        run_loop(hands_on, connection.ports, clock, controls=Person(), on_event=events.append)
+        run_loop(hands_on, connection.ports, clock, controls=Person(act), on_event=events.append)
         bus = connection.simulated["main"]
     lines = [(at_ns / S, line) for at_ns, line in bus.lines]
     held = next(at_s for at_s, line in lines if line == b"#6H\r")
@@ -252,25 +254,18 @@ def test_a_silent_servo_stops_all_of_its_mechanism(head):
 
 
 def test_a_servo_that_restarts_lets_its_mate_hold(head):
-    clock, events, began = VirtualClock(), [], []
+    clock, events, turns = VirtualClock(), [], itertools.count()
     hands_on = HandsOn(head, ["arm"])
 
-    class Person:
-        def filenos(self):
-            return []
-
-        def act(self, driven, now_ns):
-            if driven.phase != "playing":
-                return
-            began.append(now_ns)
-            if len(began) % 40 == 1:
-                driven.move("arm", 20.0, 2.0)
-            if now_ns - began[0] > 6 * S:
-                driven.stop()
+    def act(driven, passed_ns):
+        if next(turns) % 40 == 0:
+            driven.move("arm", 20.0, 2.0)
+        if passed_ns > 6 * S:
+            driven.stop()
 
     fault = Fault(kind=FaultKind.RESET, at_s=3.5, servo_id=7)
     with connect(head.buses, robot=head, clock=clock, faults=(fault,)) as connection:
-        run_loop(hands_on, connection.ports, clock, controls=Person(), on_event=events.append)
+        run_loop(hands_on, connection.ports, clock, controls=Person(act), on_event=events.append)
         bus = connection.simulated["main"]
     assert hands_on.error is None
     told = [str(one) for one in events]
